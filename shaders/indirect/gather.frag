@@ -1,7 +1,7 @@
 // Gathers what a receiver sees of the light tree, and of the sky behind it, without a random number (Christensen 2008;
 // Ritschel et al. 2009). One texel a receiver; its layout: render/passes/indirect/gather.py.
 //   out_diffuse: irradiance / pi; harmonic mean distance to what is seen
-//   out_glossy: mean radiance over the lobe around the mirrored view; share of the cosine-weighted hemisphere that is open
+//   out_glossy: mean radiance of surfaces over the lobe around the mirrored view, and the share of the lobe that is open
 // A walk meets near nodes first. A node is opened until it is smaller than a cell; then it covers as much of the cells under it
 // as it is large: what surfaces cover adds up, so that they are tight; leaves and hairs hide each other as if they lay there by
 // chance. PS_GLOSSY: out_glossy is wanted.
@@ -134,7 +134,7 @@ void main()
     }
   }
 
-  float whole = 0.0, whole_lobe = 0.0, open = 0.0;
+  float whole = 0.0, whole_lobe = 0.0, open_lobe = 0.0;
   for (int y = 0; y < PS_CELLS; y++) {
     for (int x = 0; x < PS_CELLS; x++) {
       float weight = 0.0, angle = 0.0;
@@ -150,9 +150,10 @@ void main()
       // What is open of a cell that is covered in part is where it is not: on the other side of its middle.
       float left_weight = left > 1e-3 ? clamp(weight - ps_weight[i], 0.0, weight) : 0.0;
       whole += weight;
-      open += left_weight;
 #ifdef PS_GLOSSY
-      whole_lobe += angle * ps_lobe(direction, lobe);
+      float of_lobe = angle * ps_lobe(direction, lobe);
+      whole_lobe += of_lobe;
+      open_lobe += left * of_lobe;
 #endif
       vec3 sky = vec3(0.0);
 #if defined(PS_HAS_WORLD)
@@ -164,11 +165,8 @@ void main()
       }
 #endif
       sum.diffuse += sky * left_weight;
-#ifdef PS_GLOSSY
-      sum.glossy += sky * (left * angle * ps_lobe(direction, lobe));
-#endif
     }
   }
+  out_glossy = vec4(sum.glossy, open_lobe) / max(whole_lobe, 1e-20);
   out_diffuse = vec4(sum.diffuse / whole, sum.nearness / whole);
-  out_glossy = vec4(sum.glossy / max(whole_lobe, 1e-20), open / whole);
 }

@@ -106,6 +106,10 @@ void main()
   surface.emission = texelFetch(ps_emission, pixel, 0).rgb;
 #endif
 #ifndef PS_AUXILIARY_ONLY
+#ifdef PS_INDIRECT
+  ps_gathered = texelFetch(ps_gathered_light, pixel, 0);
+  ps_mirrored = texelFetch(ps_mirrored_light, pixel, 0);
+#endif
 #ifdef PS_STRANDS
   // Loops of one turn or none, since some devices run both sides of every branch.
   vec3 radiance = vec3(0.0);

@@ -60,7 +60,9 @@ def _parts(mesh: Mesh, spacing: Spacing, finest: float) -> tuple[np.ndarray, np.
     done_weights, done_triangle, count = [], [], 0
     for _ in range(MOST_CUTS):
         corners = _places(mesh, triangle, weights)
-        edges = np.stack([dot(e, e) for e in (corners[2] - corners[1], corners[0] - corners[2], corners[1] - corners[0])])
+        edges = np.stack(
+            [dot(e, e) for e in (corners[2] - corners[1], corners[0] - corners[2], corners[1] - corners[0])]
+        )
         longest, size = edges.argmax(axis=0), np.sqrt(edges.max(axis=0))
         _, away = spacing(corners.mean(axis=0))
         cut = (size > BIGGEST_PART * np.maximum(away - 0.5 * size, 0.0)) & (size > finest)
@@ -75,7 +77,9 @@ def _parts(mesh: Mesh, spacing: Spacing, finest: float) -> tuple[np.ndarray, np.
         apex = longest[cut]
         turned = np.stack([weights[:, :, cut][(apex + k) % 3, :, rows] for k in range(3)])  # (corner, M, 2)
         middle = 0.5 * (turned[1] + turned[2])
-        halves = np.stack([np.concatenate(pair) for pair in ((turned[0], turned[0]), (turned[1], middle), (middle, turned[2]))])
+        halves = np.stack(
+            [np.concatenate(pair) for pair in ((turned[0], turned[0]), (turned[1], middle), (middle, turned[2]))]
+        )
         weights, triangle = np.ascontiguousarray(halves.transpose(0, 2, 1)), np.tile(triangle[cut], 2)
     else:
         done_weights.append(weights)

@@ -70,12 +70,18 @@ def build_tree(surfels: Surfels) -> LightTree:
         in_several = np.repeat(several, count)
         children = current[in_several]
         parents = made.add(children, count[several])
-        own_sums = np.add.reduceat(node_sums[children], np.cumsum(count[several]) - count[several]) if len(parents) else node_sums[:0]
+        own_sums = (
+            np.add.reduceat(node_sums[children], np.cumsum(count[several]) - count[several])
+            if len(parents)
+            else node_sums[:0]
+        )
         mask = np.bitwise_or.reduceat(np.uint8(1) << octant, begin_group)[several]
         node_sums = np.concatenate([node_sums, own_sums])
         middle, child_middle = own_sums[:, 1:4] / own_sums[:, :1], node_sums[children, 1:4] / node_sums[children, :1]
         apart = np.sqrt(((child_middle - np.repeat(middle, count[several], axis=0)) ** 2).sum(axis=1)) + radii[children]
-        own_radii = np.maximum.reduceat(apart, np.cumsum(count[several]) - count[several]) if len(parents) else apart[:0]
+        own_radii = (
+            np.maximum.reduceat(apart, np.cumsum(count[several]) - count[several]) if len(parents) else apart[:0]
+        )
         radii = np.concatenate([radii, own_radii])
         firsts, masks = np.concatenate([firsts, np.zeros(len(parents), np.int64)]), np.concatenate([masks, mask])
         following = current[begin_group].copy()
@@ -127,7 +133,13 @@ class _Made:
 def _sums(surfels: Surfels, order: np.ndarray, weight: np.ndarray, begin: np.ndarray) -> np.ndarray:
     """(L, 9) float64 of the leaves: area, and times it position, normal, and whether surfaces are closed or scattered."""
     columns = np.column_stack(
-        [np.ones(len(order)), surfels.position[order], surfels.normal[order], surfels.closed[order], surfels.scattered[order]]
+        [
+            np.ones(len(order)),
+            surfels.position[order],
+            surfels.normal[order],
+            surfels.closed[order],
+            surfels.scattered[order],
+        ]
     )
     return np.add.reduceat(columns * weight[:, None], begin)
 

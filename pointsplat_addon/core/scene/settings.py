@@ -32,6 +32,8 @@ class Settings:
     adaptive_threshold: float = 1 / 64  # over the root of the brightness: what a display of 8 bits just shows
     use_shadows: bool = True  # lights cast shadows, through translucent matter too
     shadow_resolution: int = 1024  # cells of a light's shadow table per half turn
+    use_indirect: bool = False  # what surfaces hide of the world, and what they send to each other
+    bounces: int = 3  # of light from surface to surface, before it reaches what is seen
     use_eye_dome: bool = False  # pixels are darker the more their neighbours lie in front of them
     eye_dome_strength: float = 1.0
     eye_dome_radius: int = 1  # pixels from a pixel to the neighbours that it is compared with
@@ -49,6 +51,7 @@ class Settings:
         "filter_size": (0.01, 10.0),
         "adaptive_threshold": (0.0, 1.0),
         "shadow_resolution": (16, 16384),
+        "bounces": (0, 32),
         "eye_dome_strength": (0.0, 10.0),
         "eye_dome_radius": (1, 16),
         "time_budget": (1.0, 3_600_000.0),

@@ -150,6 +150,16 @@ LABELS: dict[str, tuple[str, str]] = {
         "Number of cells in half a turn around each light in which shadows are stored; more make sharper shadows. "
         "Depth maps of lights without a size have twice as many texels along a side",
     ),
+    "use_indirect": (
+        "Indirect Light",
+        "Objects hide the world from each other, and send each other light, as far as it is diffuse. Drawn by the "
+        "Visibility Buffer",
+    ),
+    "bounces": (
+        "Bounces",
+        "Number of times that light goes from surface to surface before it reaches what is seen; without any, objects "
+        "hide the world, and those that emit light shine",
+    ),
     "use_eye_dome": (
         "Eye-Dome Lighting",
         "Pixels are darker the more their neighbours lie in front of them, so that scans without light or colour show "

@@ -112,6 +112,18 @@ class POINTSPLAT_RENDER_PT_shadows(_Panel, bpy.types.Panel):
         layout.prop(settings, "shadow_resolution")
 
 
+class POINTSPLAT_RENDER_PT_indirect(_Panel, bpy.types.Panel):
+    bl_label = "Indirect Light"
+
+    def draw_header(self, context):
+        self.layout.prop(context.scene.pointsplat, "use_indirect", text="")
+
+    def draw(self, context):
+        settings, layout = context.scene.pointsplat, self.split_layout()
+        layout.active = settings.use_indirect
+        layout.prop(settings, "bounces")
+
+
 class POINTSPLAT_RENDER_PT_eye_dome(_Panel, bpy.types.Panel):
     bl_label = "Eye-Dome Lighting"
     bl_options = {"DEFAULT_CLOSED"}

@@ -14,6 +14,8 @@ from ...core.scene.scene import Scene
 from ...core.strand.segments import sample_offsets
 from ..device.clock import Clock
 from ..device.protocol import Texture
+from ..indirect.light import IndirectLight
+from ..indirect.surfels import scene_surfels
 from ..passes.gbuffer import GBuffer
 from ..passes.grouping.centre import CentreDepths
 from ..passes.image_space.pyramid import levels
@@ -36,6 +38,7 @@ from .surfels import gbuffer_textures
 from .targets import Targets
 from .translucent import LitTranslucent, Translucent, lighting_of_sample
 from .uploads.uploads import Uploads
+from .visibility.indirect import GroupsInIndirectLight
 from .visibility.layers import Visibility
 from .visibility.targets import VisibilityTargets
 from .visibility.tiles import cells_of_tile
@@ -151,7 +154,29 @@ class Frame:
         if self.lit is not None:
             over = self._own(TranslucentLayers(device, plan, self.lit.lit, targets, self.targets.combined_target, run))
         passes = self.frame_plan.request.passes
-        self.visibility = self._own(Visibility(device, plan, passes, self.uploads, targets, self.shading, over, run))
+        indirect = self._indirect_light() if plan.indirect else None
+        self.visibility = self._own(
+            Visibility(device, plan, passes, self.uploads, targets, self.shading, over, run, indirect)
+        )
+
+    def _indirect_light(self) -> GroupsInIndirectLight | None:
+        """Returns the light that surfaces receive from each other; None where there are none."""
+        device, frame_plan, uploads = self.device, self.frame_plan, self.uploads
+        request, found = frame_plan.request, []
+
+        def make() -> None:
+            scene, check = frame_plan.scene, self.clock.check
+            surfels = scene_surfels(scene, request.camera, self.renderer.store, check)
+            if surfels is not None:
+                lighting, textures = frame_plan.plan.lighting, uploads.shading
+                bounces = request.settings.bounces
+                found.append(IndirectLight(device, scene, frame_plan.view, surfels, lighting, textures, bounces, check))
+
+        self.clock.run("light tree", make)
+        if not found:
+            return None
+        light = self._own(found[0])
+        return GroupsInIndirectLight(device, light, frame_plan.plan.variant, uploads.lighting.materials["ps_materials"])
 
     # Drawing
 

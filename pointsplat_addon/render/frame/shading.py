@@ -52,6 +52,7 @@ class Shading:
         self._shade = shade_program(
             plan.variant, plan.lighting, plan.materials, passes, request.samples, coverage, plan.lines, plan.defocus,
             plan.picture, coarse=request.coarse, lattice=lattice_of(plan.sub_samples) if plan.sub_samples else None,
+            indirect=plan.indirect,
         )  # fmt: skip
         self._background = background_program(
             plan.background_defines,
@@ -96,11 +97,18 @@ class Shading:
         self._add(self._background, view, region, textures)
 
     def shade_groups(
-        self, view: SampleView, surfaces: GBuffer, groups: dict[str, Texture], buffer: VisibilityBuffer, target: Target
+        self,
+        view: SampleView,
+        surfaces: GBuffer,
+        groups: dict[str, Texture],
+        buffer: VisibilityBuffer,
+        target: Target,
+        received: dict[str, Texture],
     ) -> None:
         """Shades a list of groups of sub-samples: `surfaces` has their attributes, `groups` tells of which pixels they
-        are, by sampler name, `buffer` has the sub-samples themselves."""
-        textures = surfaces.bound() | self._uploads.shading | groups | buffer.textures
+        are, by sampler name, `buffer` has the sub-samples themselves, `received` what groups get of
+        indirect light."""
+        textures = surfaces.bound() | self._uploads.shading | groups | buffer.textures | received
         record = self._record(self._shade, view, **buffer.values)
         self._device.draw(self._shade, target, uniforms=record, textures=textures)
 

@@ -16,7 +16,10 @@ class Density:
     def __init__(self, camera: Camera, origin: np.ndarray, scale: float = 1.0) -> None:
         """`scale`: of all spacings."""
         self._camera = camera
-        self._view = camera.view_from_world[:3, :3], camera.view_from_world[:3, 3] + camera.view_from_world[:3, :3] @ origin
+        self._view = (
+            camera.view_from_world[:3, :3],
+            camera.view_from_world[:3, 3] + camera.view_from_world[:3, :3] @ origin,
+        )
         fx, fy, cx, cy = camera.pixel_from_view()
         self._focal, self._middle = np.array([fx, fy]), np.array([cx, cy])
         self._scale = scale

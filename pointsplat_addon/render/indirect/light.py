@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ...core.indirect.surfels import Surfels
-from ...core.indirect.tree import LightTree, build_tree
+from ...core.indirect.tree import build_tree
 from ...core.lod.levels import SIDE_AXES
 from ...core.numeric.morton import morton_codes
 from ...core.scene.camera import Camera

@@ -11,6 +11,7 @@ from ...core.indirect.closed import is_closed
 from ...core.indirect.sampling import LightSamples, light_samples
 from ...core.indirect.surfels import Surfels
 from ...core.light.bsdf import relative_index, sample_reflectance_table
+from ...core.lod.foliage import is_foliage
 from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud
 from ...core.scene.materials import MaterialTable
@@ -65,7 +66,7 @@ def _surfels(scene: Scene, geometry: Geometry, matrices: np.ndarray, density: De
         if passing(mesh, table) is not None:
             return []
         closed = store.lookup(Key(Kind.IS_CLOSED, mesh.key), lambda: is_closed(mesh))
-        leaves = store.lookup(Key(Kind.IS_FOLIAGE, mesh.key), lambda: is_foliage(mesh))
+        leaves = store.lookup(Key(Kind.IS_FOLIAGE, mesh.key), lambda: is_foliage(mesh.position, mesh.triangles))
         kind = closed, leaves and not closed
         if len(matrices) < MANY_INSTANCES:
             return [_of_mesh(mesh, table, matrix, density, kind) for matrix in matrices]
@@ -77,7 +78,9 @@ def _surfels(scene: Scene, geometry: Geometry, matrices: np.ndarray, density: De
     return []
 
 
-def _of_mesh(mesh: Mesh, table: MaterialTable, matrix: np.ndarray, density: Density, kind: tuple[bool, bool]) -> Surfels:
+def _of_mesh(
+    mesh: Mesh, table: MaterialTable, matrix: np.ndarray, density: Density, kind: tuple[bool, bool]
+) -> Surfels:
     """The surfels of one instance, each as far from the next as it is to be where it lies."""
     moved = replace(mesh, position=(mesh.position @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32))
     made = light_samples(moved, density.spacing, density.finest)
@@ -97,7 +100,9 @@ def _of_instances(
     found = []
     for one in np.unique(octave).tolist():
         apart = 2.0**one
-        made = light_samples(mesh, lambda at, apart=apart: (np.full(at.shape[1], apart), np.full(at.shape[1], np.inf)), 0.0)
+        made = light_samples(
+            mesh, lambda at, apart=apart: (np.full(at.shape[1], apart), np.full(at.shape[1], np.inf)), 0.0
+        )
         local = _with_look(mesh, mesh, table, made, kind)
         found += [_moved(local, matrix) for matrix in matrices[octave == one]]
     return found
@@ -184,8 +189,14 @@ def _of_strands(strands: Strands, table: MaterialTable, matrix: np.ndarray, dens
     albedo, emission = _look(cloud, table)
     stands_for = (area[rows] / worth[rows] * (total[-1] / count)).astype(np.float32)
     local = Surfels(
-        np.zeros(3), cloud.position, np.zeros((count, 3), np.float32), stands_for, np.ones(count, bool), np.ones(count, bool),
-        albedo, emission,
+        np.zeros(3),
+        cloud.position,
+        np.zeros((count, 3), np.float32),
+        stands_for,
+        np.ones(count, bool),
+        np.ones(count, bool),
+        albedo,
+        emission,
     )
     return _moved(local, matrix)
 
@@ -203,7 +214,10 @@ def _look(cloud: PointCloud, table: MaterialTable) -> tuple[np.ndarray, np.ndarr
     color = table.base_color[rows] if cloud.color is None else cloud.color
     surface = np.stack([table.roughness, table.metallic], axis=1)[rows] if cloud.surface is None else cloud.surface
     emission = table.emission[rows] if cloud.emission is None else cloud.emission
-    albedo = np.maximum(color, 0) * ((1 - np.clip(surface[:, 1], 0, 1)) * (1 - _reflected(surface[:, 0], rows, table)))[:, None]
+    albedo = (
+        np.maximum(color, 0)
+        * ((1 - np.clip(surface[:, 1], 0, 1)) * (1 - _reflected(surface[:, 0], rows, table)))[:, None]
+    )
     return np.minimum(albedo, 1).astype(np.float32), np.maximum(emission, 0).astype(np.float32)
 
 

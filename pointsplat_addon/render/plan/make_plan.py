@@ -82,7 +82,7 @@ def make_plan(view: ViewToPlan) -> Plan:
     varies = attributes.surface or (translucent is not None and translucent.surface)
     lit = translucent is not None and not translucent.alone
     lighting = _lighting(view, varies, drawn=kinds.solid or lit)
-    normals = bool(lighting) or attributes.surface or "normal" in passes
+    normals = bool(lighting) or _indirect(view, kinds) or attributes.surface or "normal" in passes
     variant, data_variant = _variants(view, kinds, attributes, normals)
     variant = replace(variant, spread=_spreads(view, kinds, variant))
     ewa = _ewa(view, kinds)
@@ -108,6 +108,7 @@ def make_plan(view: ViewToPlan) -> Plan:
         presented=view.presented,
         eye_dome=_eye_dome(view, kinds),
         defocus=view.defocus,
+        indirect=_indirect(view, kinds),
         backdrop=not view.absences.blurred_world,
         picture=view.picture,
         shades=view.picture or bool(averaged(passes)),
@@ -236,6 +237,18 @@ def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
         smoothest = 0.0 if varies else float(scene.materials.roughness.min())
         found = (*_world(scene), *light_names(scene.lights, smoothest))
     return found + (() if view.shadows is None else _shadows(view.shadows))
+
+
+def _indirect(view: ViewToPlan, kinds: _Kinds) -> bool:
+    """Whether surfaces hide the world from each other, or send each other light."""
+    scene, settings = view.scene, view.request.settings
+    drawn = settings.use_indirect and view.picture and view.sub_samples > 0 and kinds.solid and view.reflects
+    emits = bool((scene.materials.emission > 0).any()) or any(
+        isinstance(graph, MaterialGraph) and "emission" in graph.channels for graph in scene.materials.graphs
+    )
+    return (
+        drawn and not view.defocus and (emits or bool(_world(scene)) or (settings.bounces > 0 and bool(scene.lights)))
+    )
 
 
 def _shadows(shadows: Shadows) -> tuple[str, ...]:

@@ -42,6 +42,7 @@ class Plan:
     )
     filter_size: float = FILTER_SIZE  # pixels: core/numeric/pixel_filter.py
     eye_dome: bool = False  # Combined is darkened by the depths under the pixels' centres: passes/output/eye_dome.py
+    indirect: bool = False  # surfaces receive light from each other, and hide the world
     defocus: bool = False  # translucent splats are drawn together with what is out of focus: passes/defocus/gather.py
 
     @property

@@ -33,6 +33,8 @@ PASSES: dict[str, str] = {
     "push": "image space: holes filled down the pyramid",
     "data": "depth, position, motion and indices under the pixels' centres",
     "averages": "normal, colour and mist of what is painted",
+    "light tree": "surfels of all surfaces, and the light that leaves them",
+    "gather": "what surfaces receive from the world and from each other",
     "shade": "light on what is opaque",
     "backdrop": "a picture of the world that is out of focus, once for a view",
     "background": "the world where nothing else is",
@@ -84,6 +86,7 @@ class Absences:
     out_of_view: Mapping[str, str] = field(default_factory=dict)  # by kind of things (render/prepare/in_view.py)
     out_of_focus: str = ""  # beyond that the camera has no depth of field
     blurred_world: str = "the camera has no depth of field"
+    indirect: str = "indirect light is switched off"
     eye_dome: str = "eye-dome lighting is switched off"
 
 
@@ -115,6 +118,8 @@ def reasons(plan: Plan, passes: frozenset[str], absences: Absences) -> dict[str,
         found["backdrop"] = absences.blurred_world
     if not plan.background:
         found["background"] = "the pass defocus draws the world" if plan.defocus else "the film is transparent"
+    if not plan.indirect:
+        found |= dict.fromkeys(("light tree", "gather"), absences.indirect)
     if not plan.eye_dome:
         found["eye dome"] = absences.eye_dome
     if not plan.defocus:

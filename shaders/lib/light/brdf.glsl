@@ -19,7 +19,7 @@ struct PsSurface {
 #endif
 };
 
-#if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT)
+#if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT) || defined(PS_INDIRECT)
 
 // What the BSDF needs of a surface seen from one direction.
 struct PsLobes {

@@ -77,22 +77,44 @@ vec3 ps_background(vec3 direction)
 #endif
 }
 
-#if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT)
+#if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT) || defined(PS_INDIRECT)
 
-vec3 ps_shade_world(PsLobes lobes)
+// The world's mean radiance over the glossy lobe.
+vec3 ps_mirrored_world(PsLobes lobes)
 {
 #if defined(PS_HAS_ENVIRONMENT)
   // A rough lobe leans from the mirror direction towards the normal (Lagarde and de Rousiers 2014, 4.9.3).
   float smoothness = 1.0 - lobes.alpha;
   vec3 direction = normalize(mix(lobes.reflecting, lobes.mirror, smoothness * (sqrt(smoothness) + lobes.alpha)));
-  vec2 uv = ps_uv_from_direction(ps_image_from_view(lobes.normal));
-  return lobes.diffuse * ps_environment_level(uv, PS_ROUGH_LEVELS + 1) +
-         lobes.reflectance * ps_environment_radiance(ps_image_from_view(direction), lobes.roughness);
+  return ps_environment_radiance(ps_image_from_view(direction), lobes.roughness);
 #elif defined(PS_HAS_WORLD)
-  return (lobes.diffuse + lobes.reflectance) * texelFetch(ps_lights, ivec2(0, PS_WORLD_ROW), 0).rgb;
+  return texelFetch(ps_lights, ivec2(0, PS_WORLD_ROW), 0).rgb;
 #else
   return vec3(0.0);
 #endif
 }
+
+#ifdef PS_INDIRECT
+// What the surface receives from all others and from the sky that these leave open: shaders/indirect/interpolate.frag.
+vec4 ps_gathered, ps_mirrored;
+
+vec3 ps_shade_world(PsLobes lobes)
+{
+  return lobes.diffuse * ps_gathered.rgb +
+         lobes.reflectance * (ps_mirrored.rgb + ps_mirrored.a * ps_mirrored_world(lobes));
+}
+#else
+vec3 ps_shade_world(PsLobes lobes)
+{
+#if defined(PS_HAS_ENVIRONMENT)
+  vec2 uv = ps_uv_from_direction(ps_image_from_view(lobes.normal));
+  return lobes.diffuse * ps_environment_level(uv, PS_ROUGH_LEVELS + 1) + lobes.reflectance * ps_mirrored_world(lobes);
+#elif defined(PS_HAS_WORLD)
+  return (lobes.diffuse + lobes.reflectance) * ps_mirrored_world(lobes);
+#else
+  return vec3(0.0);
+#endif
+}
+#endif
 
 #endif

@@ -10,7 +10,7 @@
 #define PS_LEAST_VARIANCE 1e-3
 #define PS_DARKEST 1e-6
 
-#if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT)
+#if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT) || defined(PS_INDIRECT)
 
 // The scattering of a strand towards the eye, common to all lights.
 struct PsStrand {
@@ -192,7 +192,9 @@ void ps_scattered(PsStrand strand, vec3 direction, float spread, out vec3 reflec
 // The mean radiance of the world around a direction in view space.
 vec3 ps_world_around(vec3 direction)
 {
-#if defined(PS_HAS_ENVIRONMENT)
+#if defined(PS_INDIRECT)
+  return ps_gathered.rgb;
+#elif defined(PS_HAS_ENVIRONMENT)
   return ps_environment_level(ps_uv_from_direction(ps_image_from_view(direction)), PS_ROUGH_LEVELS + 1);
 #else
   return ps_ambient();
@@ -226,7 +228,7 @@ float ps_light_spread(int index, ivec4 ends, vec3 position)
 vec3 ps_shade_strand(vec3 position, vec3 tangent, vec3 to_eye, PsSurface surface, vec4 fibre, int light_count)
 {
   vec3 result = surface.emission;
-#if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT)
+#if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT) || defined(PS_INDIRECT)
   PsStrand strand = ps_strand(surface, fibre, tangent, to_eye);
 #ifdef PS_HAS_LIGHTS
   ivec4 ends = ps_light_ends();

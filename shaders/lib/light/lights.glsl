@@ -33,7 +33,7 @@
 vec3 ps_shade(vec3 position, vec3 normal, vec3 plane, vec3 to_eye, PsSurface surface, int light_count)
 {
   vec3 result = surface.emission;
-#if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT)
+#if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT) || defined(PS_INDIRECT)
   PsLobes lobes = ps_lobes(surface, normal, plane, to_eye);
 #ifdef PS_HAS_LIGHTS
   result += ps_shade_lights(position, lobes, light_count);

@@ -25,6 +25,7 @@ from ...plan.plan import Plan
 from ..shading import Shading
 from ..uploads.uploads import Uploads
 from .identities import identities
+from .indirect import GroupsInIndirectLight
 from .occluders import Occluders
 from .polygon_draws import draws_of, polygons_in_view
 from .strand_draws import strand_draws
@@ -49,10 +50,13 @@ class Visibility:
         shading: Shading,
         translucent: TranslucentLayers | None,
         run: Run,
+        indirect: GroupsInIndirectLight | None = None,
     ) -> None:
-        """`translucent`: what is blended over the sub-samples. `run` times each pass."""
+        """`translucent`: what is blended over the sub-samples. `run` times each pass. `indirect`: light that surfaces
+        receive from each other."""
         self._device, self._plan, self._passes, self._uploads = device, plan, passes, uploads
         self._targets, self._shading, self._translucent, self._run = targets, shading, translucent, run
+        self._indirect = indirect
         self._polygons: PolygonCover | None = None
         self._strands: StrandCover | None = None
         self._splats: SplatCover | None = None
@@ -122,16 +126,24 @@ class Visibility:
         self._device.clear(lists.target)
         if self._plan.solid:
             run("attributes", lambda: self._write_attributes(view, leaders, lists.surfaces, self._plan.variant))
+            received: dict[str, Texture] = {}
+            if self._indirect is not None:
+                run("gather", lambda: received.update(self._received(view, lists.surfaces, leaders)))
             run(
                 "shade",
                 lambda: self._shading.shade_groups(
-                    view, lists.surfaces, leaders.bound | groups.codes, targets.buffer, lists.target
+                    view, lists.surfaces, leaders.bound | groups.codes, targets.buffer, lists.target, received
                 ),
             )
         if targets.behind is not None:
             run("background", lambda: self._shading.draw_open(view, groups.codes, targets.behind_target))
         run("spread", lambda: self._spread(view, tile, lists.shaded, sums))
         return lists.shaded
+
+    def _received(self, view: SampleView, surfaces: GBuffer, leaders: Leaders) -> dict[str, Texture]:
+        assert self._indirect is not None
+        assert leaders.list is not None
+        return self._indirect.gather(view, surfaces, leaders.list, self._targets.groups.entries)
 
     def _draw_central(self, view: SampleView, tile: PictureTile) -> None:
         """Writes what lies under the pixels' centres of a tile into its place in a G-buffer of the picture, or its
@@ -224,5 +236,7 @@ class Visibility:
 
     def release(self) -> None:
         self._forget_polygons()
+        if self._indirect is not None:
+            self._indirect.release()
         if self._splats is not None:
             self._splats.release()

@@ -113,6 +113,7 @@ class Groups:
         # pixel order.
         self.ranges: dict[int, tuple[int, int]] | None = None
         self.total = 0
+        self.entries = np.zeros((0, 2), np.float32)  # of the list: the pixel of each group, and its layer in that
         self._counts = np.zeros(0, np.uint32)  # of groups by pixel
         self._open = np.zeros(0, np.bool_)
 
@@ -133,15 +134,15 @@ class Groups:
         self._forget()
         self.starts = device.texture(buffer.size, "R32F", (ends - counts).astype(np.float32))
         # Pixel and group in it; float32 holds the numbers of a tile's pixels exactly.
-        self._entries = np.empty((self.total, 2), np.float32)
-        self._entries[:, 0] = owners(counts, np.float32)
-        self._entries[:, 1] = ranges(np.zeros(len(counts), np.int32), counts, np.int32)
+        self.entries = np.empty((self.total, 2), np.float32)
+        self.entries[:, 0] = owners(counts, np.float32)
+        self.entries[:, 1] = ranges(np.zeros(len(counts), np.int32), counts, np.int32)
         rows = max(-(-self.total // PAGE_WIDTH), 1)
         if self.leaders is None or not rows <= self.leaders.size[1] <= 2 * rows:
             if self.leaders is not None:
                 self.leaders.release()
             self.leaders = Leaders(device, (PAGE_WIDTH, rows + rows // 8))
-        self._upload(self._entries)
+        self._upload(self.entries)
         self.lead(view, self.leaders)
 
     @property
@@ -164,7 +165,8 @@ class Groups:
         order = np.argsort(owner.astype(np.uint16), kind="stable")
         place = np.empty(self.total, np.float32)
         place[order] = np.arange(self.total)
-        self._upload(self._entries[order])
+        self.entries = self.entries[order]
+        self._upload(self.entries)
         self.places = self._paged(place[:, None], "R32F")
         self.lead(view, self.leaders)
         ends = np.searchsorted(owner[order], np.arange(1, len(first_ids) + 2)).tolist()

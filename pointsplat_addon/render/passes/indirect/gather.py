@@ -30,7 +30,9 @@ def gather_program(world: tuple[str, ...], glossy: bool) -> Interface:
 class Gather:
     """What some receivers have gathered; one texel a receiver."""
 
-    def __init__(self, device: Device, receivers: Texture, program: Interface, record: np.ndarray, textures: dict[str, Texture]) -> None:
+    def __init__(
+        self, device: Device, receivers: Texture, program: Interface, record: np.ndarray, textures: dict[str, Texture]
+    ) -> None:
         """Gathers at once; `receivers` as of pages.receiver_texture, `record` and `textures`: what the program reads."""
         self.size = (RECEIVER_WIDTH, receivers.size[1])
         self.diffuse, self.glossy = (device.texture(self.size, "RGBA32F") for _ in OUTPUTS)

@@ -28,7 +28,12 @@ def surfel_light_program(lighting: tuple[str, ...]) -> Interface:
 
 
 def lit_surfels(
-    device: Device, lighting: tuple[str, ...], lights: int, position: np.ndarray, normal: np.ndarray, textures: dict[str, Texture]
+    device: Device,
+    lighting: tuple[str, ...],
+    lights: int,
+    position: np.ndarray,
+    normal: np.ndarray,
+    textures: dict[str, Texture],
 ) -> np.ndarray:
     """Returns the irradiance over pi, (N, 3) float32, of surfels whose places and normals (N, 3) are in view space."""
     count = len(position)

@@ -1,0 +1,111 @@
+"""Gathers indirect light for the groups of a tile: at some of them, from which the others interpolate it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...device.protocol import Device, Target, Texture
+from ...indirect.light import IndirectLight
+from ...passes.gbuffer import GBuffer, Variant
+from ...passes.indirect.gather import Gather
+from ...passes.indirect.interpolate import INTERPOLATE, INTERPOLATE_BLOCK, TILE
+from ...passes.indirect.pages import RECEIVER_WIDTH, receiver_texture
+from ...passes.indirect.places import PLACES_BLOCK, places_program
+from ...passes.uniforms import SampleView
+from .receivers import Receivers, choose_receivers
+
+SHARPEST = 24.0  # of a glossy lobe that the cells of a hemisphere resolve
+
+
+class GroupsInIndirectLight:
+    """What the groups of a list receive of indirect light, in textures as long as the list."""
+
+    def __init__(self, device: Device, light: IndirectLight, variant: Variant, materials: Texture) -> None:
+        """`variant`: of the G-buffer of groups. `materials`: the material table."""
+        self._device, self._light, self._variant, self._materials = device, light, variant, materials
+        self._lists: _Lists | None = None
+
+    def gather(self, view: SampleView, surfaces: GBuffer, listed: Texture, entries: np.ndarray) -> dict[str, Texture]:
+        """Returns what shading reads, by sampler name.
+
+        `surfaces`: attributes of the groups. `listed`: the list of groups, and `entries` (N, 2): pixel and layer of each
+        of them.
+        """
+        device = self._device
+        if self._lists is None or self._lists.size != listed.size:
+            self.release()
+            self._lists = _Lists(device, listed.size)
+        lists = self._lists
+        device.clear(lists.place_target)
+        turned = np.eye(4)
+        turned[:3, :3] = view.world_from_view[:3, :3]
+        program = places_program(self._variant)
+        textures = surfaces.bound() | {"ps_list": listed, "ps_materials": self._materials}
+        names = {name for _, name in program.samplers}
+        device.draw(
+            program,
+            lists.place_target,
+            uniforms=view.record(PLACES_BLOCK, tree_from_view=turned),
+            textures={name: texture for name, texture in textures.items() if name in names},
+        )
+        count = len(entries)
+        place, up = (device.read(lists.textures[name]).reshape(-1, 4)[:count] for name in ("ps_places", "ps_ups"))
+        chosen = choose_receivers(place, up, entries[:, 0], view, TILE)
+        self._interpolate(view, lists, listed, chosen, place, up)
+        return {"ps_gathered_light": lists.textures["gathered"], "ps_mirrored_light": lists.textures["mirrored"]}
+
+    def _interpolate(
+        self, view: SampleView, lists: _Lists, listed: Texture, chosen: Receivers, place: np.ndarray, up: np.ndarray
+    ) -> None:
+        device, rows = self._device, chosen.rows
+        position, normal = place[rows, :3], up[rows, :3]
+        to_eye = -position / np.maximum(np.linalg.norm(position, axis=1, keepdims=True), 1e-30)
+        if not view.camera.perspective:
+            to_eye = np.broadcast_to(view.world_from_view[:3, 2].astype(np.float32), position.shape)
+        mirror = 2 * (normal * to_eye).sum(axis=1, keepdims=True) * normal - to_eye
+        receivers = receiver_texture(device, position, normal, mirror, lobe_sharpness(up[rows, 3]))
+        found: Gather = self._light.gather(receivers, glossy=True)
+        pixels = np.zeros((RECEIVER_WIDTH * receivers.size[1], 2), np.float32)
+        pixels[: len(rows)] = chosen.pixels
+        where = device.texture((RECEIVER_WIDTH, receivers.size[1]), "RG32F", pixels.reshape(-1))
+        height, width = chosen.tiles.shape[:2]
+        tiles = device.texture((width, height), "RG32F", chosen.tiles.reshape(-1))
+        textures = {
+            "ps_list": listed, "ps_places": lists.textures["ps_places"], "ps_ups": lists.textures["ps_ups"],
+            "ps_tiles": tiles, "ps_receivers": receivers, "ps_receiver_pixels": where,
+            "ps_found_diffuse": found.diffuse, "ps_found_glossy": found.glossy,
+        }  # fmt: skip
+        device.draw(INTERPOLATE, lists.light_target, uniforms=view.record(INTERPOLATE_BLOCK), textures=textures)
+        for item in (found, receivers, where, tiles):
+            item.release()
+
+    def release(self) -> None:
+        if self._lists is not None:
+            self._lists.release()
+        self._lists = None
+
+
+def lobe_sharpness(roughness: np.ndarray) -> np.ndarray:
+    """(N,): of the spherical Gaussian that is about as wide as a GGX lobe around the mirrored view (Wang et al. 2009), at
+    most as sharp as cells resolve."""
+    alpha = np.maximum(np.clip(roughness, 0, 1).astype(np.float64) ** 2, 1e-3)
+    return np.minimum(0.5 / alpha**2, SHARPEST)
+
+
+class _Lists:
+    """One texel a group."""
+
+    def __init__(self, device: Device, size: tuple[int, int]) -> None:
+        self.size = size
+        self.textures = {
+            name: device.texture(size, "RGBA32F") for name in ("ps_places", "ps_ups", "gathered", "mirrored")
+        }
+        self.place_target: Target = device.target([self.textures[name] for name in ("ps_places", "ps_ups")])
+        self.light_target: Target = device.target([self.textures[name] for name in ("gathered", "mirrored")])
+        self._owned: list[Any] = [self.place_target, self.light_target, *self.textures.values()]
+
+    def release(self) -> None:
+        for item in self._owned:
+            item.release()

@@ -1,0 +1,41 @@
+// Where the groups of a list are, and how they are turned, in the space of the light tree: one texel a group.
+//   out_place: position; depth in the view, 0: no group
+//   out_up: normal of the side that is seen; roughness
+
+#include "lib/geometry/camera.glsl"
+#include "lib/geometry/surfel_kind.glsl"
+#include "lib/data/pack.glsl"
+#include "lib/light/brdf.glsl"
+#include "lib/data/materials.glsl"
+#include "lib/geometry/geometry.glsl"
+#include "lib/geometry/coverage.glsl"
+#include "lib/visibility/listed.glsl"
+
+void main()
+{
+  ivec2 texel = ivec2(gl_FragCoord.xy);
+  vec4 centre = texelFetch(ps_centre, texel, 0);
+  if (ps_coverage(texel, centre) == 0.0) {
+    discard;
+  }
+  vec4 shape = texelFetch(ps_shape, texel, 0);
+  vec2 at = vec2(ps_listed(texel).pixel) + 0.5 + shape.xy;
+  vec4 bent = texelFetch(ps_normal, texel, 0);
+  vec3 normal = ps_surface_normal(bent.xyz, centre, shape, at);
+  vec3 position = ps_surface_position(normal, bent.xyz, centre, at);
+  vec3 to_eye = -ps_ray(at);
+  if (ps_is_strand(centre)) {
+    vec3 outward = to_eye - dot(to_eye, normal) * normal;
+    normal = normalize(dot(outward, outward) > 1e-12 ? outward : to_eye);
+  } else if (centre.w <= PS_POLYGON && centre.z <= 0.5 && dot(normal, to_eye) < 0.0) {
+    normal = -normal;
+  }
+  float row = shape.w < -0.5 ? -1.0 - shape.w : shape.w;
+#ifdef PS_SURFACE
+  float roughness = bent.w;
+#else
+  float roughness = texelFetch(ps_materials, ivec2(2, int(row + 0.5)), 0).y;
+#endif
+  out_place = vec4(mat3(u.tree_from_view) * position, centre.x);
+  out_up = vec4(mat3(u.tree_from_view) * normal, roughness);
+}
