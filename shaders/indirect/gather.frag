@@ -11,12 +11,22 @@
 #include "lib/indirect/hemisphere.glsl"
 
 #define PS_STACK 128
+#define PS_LEAST_SIDE 0.5  // cells: half the side of what a piece covers at least
+#define PS_FINENESS 2.0  // parts of a near leaf along its side, times how far away it is, over that
+#define PS_MOST_PARTS 8
 #define PS_ABOVE 0.05  // radii of a leaf above the receiver's plane from which on it is seen
 #define PS_SKY_ROUGHNESS 0.4  // of the world's picture that is as blurred as a cell is wide
 
 float ps_covered[PS_CELLS * PS_CELLS];  // share of the cell
 float ps_weight[PS_CELLS * PS_CELLS];  // of what covers it: solid angle times cosine
 float ps_inside[PS_CELLS * PS_CELLS];  // covered by closed surfaces that were entered, and not left again
+
+// Puts the child whose octant differs from `own` by `k` on the stack.
+#define PS_PUSH(k) \
+  if ((light.octants >> (own ^ k) & 1) != 0) { \
+    stack[size] = light.first + bitCount(light.octants & ((1 << (own ^ k)) - 1)); \
+    size++; \
+  }
 
 struct PsGathered {
   vec3 diffuse;
@@ -36,6 +46,52 @@ void ps_add(inout PsGathered sum, vec3 radiance, float solid_angle, vec3 directi
 #ifdef PS_GLOSSY
   sum.glossy += radiance * (solid_angle * ps_lobe(direction, lobe));
 #endif
+}
+
+// A piece of surface as a receiver sees it.
+struct PsSeen {
+  vec3 direction;  // unit
+  float distance;
+  float front, back;  // solid angles of what faces the receiver, and of what does not
+};
+
+// Covers a part, a rectangle of a cell, by a piece of surface; `share`: of the piece that lies in it, per area in cells.
+void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, float cell, PsSeen seen, PsNodeLight light, vec4 lobe)
+{
+  vec2 overlap = min(high, vec2(at + 1)) - max(low, vec2(at));
+  if (overlap.x <= 0.0 || overlap.y <= 0.0 || at.x >= PS_CELLS || at.y >= PS_CELLS) {
+    return;
+  }
+  float part = overlap.x * overlap.y * share / cell;
+  int i = at.y * PS_CELLS + at.x;
+  // What leaves a closed surface that was entered in this cell is hidden by where it was entered.
+  float entered = seen.front * part, left = seen.back * part;
+  float hidden = min(light.closed * left, ps_inside[i] + light.closed * entered);
+  ps_inside[i] += light.closed * entered - hidden;
+  float seen_back = left - hidden, whole = entered + seen_back;
+  float open = 1.0 - ps_covered[i], covers = light.scattered ? (1.0 - exp(-whole)) * open : min(whole, open);
+  ps_covered[i] += covers;
+  ps_weight[i] += covers * cell * seen.direction.z;
+  vec3 radiance = (entered * light.outside + seen_back * light.inside) / max(whole, 1e-20);
+  ps_add(sum, radiance, covers * cell, seen.direction, lobe);
+  sum.nearness += covers * cell * seen.direction.z / seen.distance;
+}
+
+// A piece covers a square of cells as large as it seems; it is smaller than a cell.
+void ps_deposit(inout PsGathered sum, PsSeen seen, PsNodeLight light, vec4 lobe)
+{
+  float cell = ps_cell_solid_angle(seen.direction);
+  float half_side = clamp(0.5 * sqrt((seen.front + seen.back) / cell), PS_LEAST_SIDE, 0.5);
+  vec2 centre = ps_cell_from_direction(seen.direction);
+  vec2 low = clamp(centre - half_side, vec2(0.0), vec2(PS_CELLS)), high = clamp(centre + half_side, vec2(0.0), vec2(PS_CELLS));
+  vec2 sides = max(high - low, 1e-6);
+  float share = 1.0 / (sides.x * sides.y);
+  ivec2 first = ivec2(low);
+  // Without a loop: software rasterisers count the turns of all loops of an invocation, and end them at 65,535.
+  ps_cover(sum, first, low, high, share, cell, seen, light, lobe);
+  ps_cover(sum, first + ivec2(1, 0), low, high, share, cell, seen, light, lobe);
+  ps_cover(sum, first + ivec2(0, 1), low, high, share, cell, seen, light, lobe);
+  ps_cover(sum, first + ivec2(1, 1), low, high, share, cell, seen, light, lobe);
 }
 
 void main()
@@ -80,57 +136,47 @@ void main()
     if (light.first >= 0 && (d < 1.5 * node.radius || largest > u.coarseness * cell) && size < PS_STACK - 8) {
       // Where the receiver lies, seen from the node; the children there come first, those opposite last.
       int own = (offset.x < 0.0 ? 1 : 0) | (offset.y < 0.0 ? 2 : 0) | (offset.z < 0.0 ? 4 : 0);
-      for (int k = 7; k >= 0; k--) {
-        int octant = own ^ k;
-        if ((light.octants >> octant & 1) != 0) {
-          stack[size] = light.first + bitCount(light.octants & ((1 << octant) - 1));
-          size++;
-        }
-      }
+      PS_PUSH(7) PS_PUSH(6) PS_PUSH(5) PS_PUSH(4) PS_PUSH(3) PS_PUSH(2) PS_PUSH(1) PS_PUSH(0)
       continue;
     }
     // How high it rises above its middle: as far as it is tilted.
-    float upright = dot(node.facing, n), facing2 = dot(node.facing, node.facing);
+    float facing2 = dot(node.facing, node.facing), upright = dot(node.facing, n);
     float tilt = node.radius * sqrt(clamp(1.0 - upright * upright, 0.0, 1.0));
-    float top = height + tilt;
-    if (top <= PS_ABOVE * node.radius) {
+    if (height + tilt <= PS_ABOVE * node.radius) {
       continue;
     }
-    float above = clamp(top / max(2.0 * tilt, 1e-20), 0.0, 1.0);
-    float signed_area = -dot(node.facing, offset) / d;
-    float both = min(abs(signed_area) + 0.5 * (1.0 - sqrt(min(facing2, 1.0))), 1.0);
-    float angle = above * node.area / (d2 + node.area / (2.0 * PS_PI));
-    float front = 0.5 * (both + signed_area) * angle, back = 0.5 * (both - signed_area) * angle;
-    local.z = max(height, 0.25 * top) / d;
-    local = normalize(local);
-    cell = ps_cell_solid_angle(local);
-    float whole = (front + back) / cell;  // in cells
-    if (whole < 1e-6) {
-      continue;
+    // A leaf that is near is a square, of which parts are looked at.
+    int parts = 1;
+    vec3 along = vec3(0.0), beside = vec3(0.0);
+    if (light.first < 0 && facing2 > 0.5) {
+      float side_length = sqrt(node.area);
+      float plane_distance = abs(dot(node.facing, offset)), nearest = max(plane_distance, d - 0.7 * side_length);
+      parts = int(clamp(ceil(PS_FINENESS * side_length / max(nearest, 1e-20)), 1.0, float(PS_MOST_PARTS)));
+      vec3 f = node.facing * inversesqrt(facing2);
+      along = normalize(abs(f.z) < 0.7 ? vec3(f.y, -f.x, 0.0) : vec3(0.0, f.z, -f.y));
+      beside = cross(f, along) * side_length;
+      along *= side_length;
     }
-    float half_side = clamp(0.5 * sqrt(whole), 0.25, 0.5 * float(PS_CELLS));
-    vec2 centre = ps_cell_from_direction(local);
-    vec2 low = clamp(centre - half_side, vec2(0.0), vec2(PS_CELLS)), high = clamp(centre + half_side, vec2(0.0), vec2(PS_CELLS));
-    ivec2 first = ivec2(low), last = min(ivec2(high), ivec2(PS_CELLS - 1));
-    vec2 sides = max(high - low, 1e-6);
-    float share = 1.0 / (sides.x * sides.y);
-    for (int y = first.y; y <= last.y; y++) {
-      for (int x = first.x; x <= last.x; x++) {
-        vec2 overlap = max(min(high, vec2(x + 1, y + 1)) - max(low, vec2(x, y)), 0.0);
-        float part = overlap.x * overlap.y * share / cell;
-        int i = y * PS_CELLS + x;
-        // What leaves a closed surface that was entered in this cell is hidden by where it was entered.
-        float entered = front * part, left = back * part;
-        float hidden = min(light.closed * left, ps_inside[i] + light.closed * entered);
-        ps_inside[i] += light.closed * entered - hidden;
-        float seen_back = left - hidden, seen = entered + seen_back;
-        float open = 1.0 - ps_covered[i], covers = light.scattered ? (1.0 - exp(-seen)) * open : min(seen, open);
-        ps_covered[i] += covers;
-        ps_weight[i] += covers * cell * local.z;
-        vec3 radiance = (entered * light.outside + seen_back * light.inside) / max(seen, 1e-20);
-        ps_add(sum, radiance, covers * cell, local, lobe);
-        sum.nearness += covers * cell * local.z / d;
+    float area = node.area / float(parts * parts), rest = 0.5 * (1.0 - sqrt(min(facing2, 1.0)));
+    for (int part = 0; part < parts * parts; part++) {
+      vec2 where = (vec2(part % parts, part / parts) + 0.5) / float(parts) - 0.5;
+      vec3 to = offset + where.x * along + where.y * beside;
+      float rises = dot(to, n), of_part = tilt / float(parts);
+      float top = rises + of_part;
+      if (top <= 0.0) {
+        continue;
       }
+      float above = clamp(top / max(2.0 * of_part, 1e-20), 0.0, 1.0);
+      float away2 = max(dot(to, to), 1e-24), away = sqrt(away2);
+      float signed_area = -dot(node.facing, to) / away;
+      float both = min(abs(signed_area) + rest, 1.0);
+      float angle = 0.5 * above * area / (away2 + area / (2.0 * PS_PI));
+      PsSeen seen;
+      seen.front = (both + signed_area) * angle;
+      seen.back = (both - signed_area) * angle;
+      seen.direction = normalize(vec3(dot(to, tangent), dot(to, across), max(rises, 0.25 * top)));
+      seen.distance = away;
+      ps_deposit(sum, seen, light, lobe);
     }
   }
 

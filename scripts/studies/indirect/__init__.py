@@ -1,0 +1,1 @@
+"""Scenes with indirect light, by PointSplat and by Cycles."""
