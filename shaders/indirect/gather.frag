@@ -23,8 +23,8 @@ float ps_inside[PS_CELLS * PS_CELLS];  // covered by closed surfaces that were e
 
 // Puts the child whose octant differs from `own` by `k` on the stack.
 #define PS_PUSH(k) \
-  if ((light.octants >> (own ^ k) & 1) != 0) { \
-    stack[size] = light.first + bitCount(light.octants & ((1 << (own ^ k)) - 1)); \
+  if ((node.bits >> (own ^ k) & 1) != 0) { \
+    stack[size] = node.first + bitCount(node.bits & ((1 << (own ^ k)) - 1)); \
     size++; \
   }
 
@@ -52,11 +52,12 @@ void ps_add(inout PsGathered sum, vec3 radiance, float solid_angle, vec3 directi
 struct PsSeen {
   vec3 direction;  // unit
   float distance;
+  vec3 radiance;  // of what faces the receiver
   float front, back;  // solid angles of what faces the receiver, and of what does not
 };
 
 // Covers a part, a rectangle of a cell, by a piece of surface; `share`: of the piece that lies in it, per area in cells.
-void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, float cell, PsSeen seen, PsNodeLight light, vec4 lobe)
+void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, float cell, PsSeen seen, PsNodeLook look, vec4 lobe)
 {
   vec2 overlap = min(high, vec2(at + 1)) - max(low, vec2(at));
   if (overlap.x <= 0.0 || overlap.y <= 0.0 || at.x >= PS_CELLS || at.y >= PS_CELLS) {
@@ -66,19 +67,20 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   int i = at.y * PS_CELLS + at.x;
   // What leaves a closed surface that was entered in this cell is hidden by where it was entered.
   float entered = seen.front * part, left = seen.back * part;
-  float hidden = min(light.closed * left, ps_inside[i] + light.closed * entered);
-  ps_inside[i] += light.closed * entered - hidden;
+  float hidden = min(look.closed * left, ps_inside[i] + look.closed * entered);
+  ps_inside[i] += look.closed * entered - hidden;
   float seen_back = left - hidden, whole = entered + seen_back;
-  float open = 1.0 - ps_covered[i], covers = light.scattered ? (1.0 - exp(-whole)) * open : min(whole, open);
+  float open = 1.0 - ps_covered[i], covers = look.scattered ? (1.0 - exp(-whole)) * open : min(whole, open);
   ps_covered[i] += covers;
   ps_weight[i] += covers * cell * seen.direction.z;
-  vec3 radiance = (entered * light.outside + seen_back * light.inside) / max(whole, 1e-20);
+  // Of an open surface either side is before or behind; the inside is that of closed ones alone.
+  vec3 radiance = (entered * seen.radiance + seen_back * mix(seen.radiance, look.inside, look.closed)) / max(whole, 1e-20);
   ps_add(sum, radiance, covers * cell, seen.direction, lobe);
   sum.nearness += covers * cell * seen.direction.z / seen.distance;
 }
 
 // A piece covers a square of cells as large as it seems; it is smaller than a cell.
-void ps_deposit(inout PsGathered sum, PsSeen seen, PsNodeLight light, vec4 lobe)
+void ps_deposit(inout PsGathered sum, PsSeen seen, PsNodeLook look, vec4 lobe)
 {
   float cell = ps_cell_solid_angle(seen.direction);
   float half_side = clamp(0.5 * sqrt((seen.front + seen.back) / cell), PS_LEAST_SIDE, 0.5);
@@ -88,10 +90,10 @@ void ps_deposit(inout PsGathered sum, PsSeen seen, PsNodeLight light, vec4 lobe)
   float share = 1.0 / (sides.x * sides.y);
   ivec2 first = ivec2(low);
   // Without a loop: software rasterisers count the turns of all loops of an invocation, and end them at 65,535.
-  ps_cover(sum, first, low, high, share, cell, seen, light, lobe);
-  ps_cover(sum, first + ivec2(1, 0), low, high, share, cell, seen, light, lobe);
-  ps_cover(sum, first + ivec2(0, 1), low, high, share, cell, seen, light, lobe);
-  ps_cover(sum, first + ivec2(1, 1), low, high, share, cell, seen, light, lobe);
+  ps_cover(sum, first, low, high, share, cell, seen, look, lobe);
+  ps_cover(sum, first + ivec2(1, 0), low, high, share, cell, seen, look, lobe);
+  ps_cover(sum, first + ivec2(0, 1), low, high, share, cell, seen, look, lobe);
+  ps_cover(sum, first + ivec2(1, 1), low, high, share, cell, seen, look, lobe);
 }
 
 void main()
@@ -129,18 +131,18 @@ void main()
       continue;
     }
     float d2 = max(dot(offset, offset), 1e-24), d = sqrt(d2);
-    PsNodeLight light = ps_node_light(number);
     vec3 local = vec3(dot(offset, tangent), dot(offset, across), max(height, 0.0)) / d;
     float cell = ps_cell_solid_angle(local);
     float largest = min(PS_PI * node.radius * node.radius, 2.0 * node.area) / d2;
-    if (light.first >= 0 && (d < 1.5 * node.radius || largest > u.coarseness * cell) && size < PS_STACK - 8) {
+    if (node.first >= 0 && (d < 1.5 * node.radius || largest > u.coarseness * cell) && size < PS_STACK - 8) {
       // Where the receiver lies, seen from the node; the children there come first, those opposite last.
       int own = (offset.x < 0.0 ? 1 : 0) | (offset.y < 0.0 ? 2 : 0) | (offset.z < 0.0 ? 4 : 0);
       PS_PUSH(7) PS_PUSH(6) PS_PUSH(5) PS_PUSH(4) PS_PUSH(3) PS_PUSH(2) PS_PUSH(1) PS_PUSH(0)
       continue;
     }
+    PsNodeLook look = ps_node_look(number, node);
     // How high it rises above its middle: as far as it is tilted.
-    float facing2 = dot(node.facing, node.facing), upright = dot(node.facing, n);
+    float upright = look.along * dot(look.axis, n);
     float tilt = node.radius * sqrt(clamp(1.0 - upright * upright, 0.0, 1.0));
     if (height + tilt <= PS_ABOVE * node.radius) {
       continue;
@@ -148,16 +150,16 @@ void main()
     // A leaf that is near is a square, of which parts are looked at.
     int parts = 1;
     vec3 along = vec3(0.0), beside = vec3(0.0);
-    if (light.first < 0 && facing2 > 0.5) {
+    if (node.first < 0 && look.along > 0.5) {
       float side_length = sqrt(node.area);
-      float plane_distance = abs(dot(node.facing, offset)), nearest = max(plane_distance, d - 0.7 * side_length);
+      float nearest = max(abs(dot(look.axis, offset)), d - 0.7 * side_length);
       parts = int(clamp(ceil(PS_FINENESS * side_length / max(nearest, 1e-20)), 1.0, float(PS_MOST_PARTS)));
-      vec3 f = node.facing * inversesqrt(facing2);
+      vec3 f = look.axis;
       along = normalize(abs(f.z) < 0.7 ? vec3(f.y, -f.x, 0.0) : vec3(0.0, f.z, -f.y));
       beside = cross(f, along) * side_length;
       along *= side_length;
     }
-    float area = node.area / float(parts * parts), rest = 0.5 * (1.0 - sqrt(min(facing2, 1.0)));
+    float area = node.area / float(parts * parts);
     for (int part = 0; part < parts * parts; part++) {
       vec2 where = (vec2(part % parts, part / parts) + 0.5) / float(parts) - 0.5;
       vec3 to = offset + where.x * along + where.y * beside;
@@ -168,15 +170,16 @@ void main()
       }
       float above = clamp(top / max(2.0 * of_part, 1e-20), 0.0, 1.0);
       float away2 = max(dot(to, to), 1e-24), away = sqrt(away2);
-      float signed_area = -dot(node.facing, to) / away;
-      float both = min(abs(signed_area) + rest, 1.0);
+      float signed_area = -dot(look.facing, to) / away, toward = -dot(look.axis, to) / away;
+      float both = max(look.along * abs(toward) + 0.5 * (1.0 - look.along), abs(signed_area));
       float angle = 0.5 * above * area / (away2 + area / (2.0 * PS_PI));
       PsSeen seen;
       seen.front = (both + signed_area) * angle;
       seen.back = (both - signed_area) * angle;
       seen.direction = normalize(vec3(dot(to, tangent), dot(to, across), max(rises, 0.25 * top)));
       seen.distance = away;
-      ps_deposit(sum, seen, light, lobe);
+      seen.radiance = toward > 0.0 ? look.before : look.behind;
+      ps_deposit(sum, seen, look, lobe);
     }
   }
 

@@ -13,20 +13,29 @@ MULTIPLIERS = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 def is_closed(mesh: Mesh) -> bool:
     """Tells whether each edge has as many triangles that run along it as there are against it.
 
-    Each edge adds a hash of its vertices where it is run along upwards, and takes it away downwards: the sum is 0 for
-    closed, evenly oriented meshes, and for others with a probability of 2^-64.
+    Vertices at one place count as one. Each edge adds a hash of its ends where it is run along one way, and takes it away
+    the other way: the sum is 0 for closed, evenly oriented meshes, and for others with a probability of 2^-64.
     """
     if len(mesh.triangles) == 0:
         return False
-    corners = mesh.triangles.T.astype(np.uint64)
     total = np.uint64(0)
     with np.errstate(over="ignore"):
+        corners = _hashed_places(mesh.position)[mesh.triangles.T]
         for start, end in ((0, 1), (1, 2), (2, 0)):
-            low, high = np.minimum(corners[start], corners[end]), np.maximum(corners[start], corners[end])
-            hashed = _scrambled(low << np.uint64(32) | high)
-            upwards = corners[start] < corners[end]
-            total += hashed[upwards].sum(dtype=np.uint64) - hashed[~upwards].sum(dtype=np.uint64)
+            a, b = corners[start], corners[end]
+            edge = _scrambled(np.minimum(a, b) + MULTIPLIERS[0] * np.maximum(a, b))
+            upwards = a < b
+            total += edge[upwards].sum(dtype=np.uint64) - edge[~upwards & (a != b)].sum(dtype=np.uint64)
     return bool(total == 0)
+
+
+def _hashed_places(position: np.ndarray) -> np.ndarray:
+    """(V,) uint64: equal where positions (V, 3) float32 are."""
+    bits = np.ascontiguousarray(position + np.float32(0)).view(np.uint32).astype(np.uint64)  # -0 is 0
+    found = _scrambled(bits[:, 0])
+    for column in (1, 2):
+        found = _scrambled(found ^ bits[:, column])
+    return found
 
 
 def _scrambled(x: np.ndarray) -> np.ndarray:

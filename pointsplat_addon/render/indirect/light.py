@@ -14,7 +14,7 @@ from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
 from ..device.protocol import Device, Texture
 from ..passes.indirect.gather import COARSENESS, GATHER_BLOCK, Gather, gather_program
-from ..passes.indirect.pages import light_texture, node_texture, receiver_texture
+from ..passes.indirect.pages import node_texture, receiver_texture
 from ..passes.indirect.surfel_light import lit_surfels
 
 MOST_BOUNCE_RECEIVERS = 6000  # where light is gathered for further bounces
@@ -42,8 +42,7 @@ class IndirectLight:
         self._textures = textures
         self.origin = surfels.origin
         self.tree = build_tree(surfels)
-        self._nodes = node_texture(device, self.tree)
-        self._lights: Texture | None = None
+        self._nodes: Texture | None = None
         direct = self._direct() if bounces > 0 else np.zeros((2, len(surfels), 3), np.float32)
         leaving = np.broadcast_to(surfels.emission, (2, len(surfels), 3))
         self._set_light(leaving)
@@ -122,7 +121,7 @@ class IndirectLight:
 
     def gather(self, receivers: Texture, glossy: bool) -> Gather:
         """Gathers at receivers as of receiver_texture."""
-        assert self._lights is not None
+        assert self._nodes is not None
         rotation = np.eye(4)
         rotation[:3, :3] = self._camera.view_from_world[:3, :3]
         record = GATHER_BLOCK.record(view_from_world=rotation, root=len(self.tree) - 1, coarseness=COARSENESS)
@@ -130,19 +129,16 @@ class IndirectLight:
         textures = {name: texture for name, texture in self._textures.items() if name in wanted}
         if self._world == ("PS_HAS_WORLD",):
             textures.pop("ps_environment", None)
-        textures |= {"ps_nodes": self._nodes, "ps_node_lights": self._lights}
+        textures |= {"ps_nodes": self._nodes}
         return Gather(self._device, receivers, gather_program(self._world, glossy), record, textures)
 
     def _set_light(self, leaving: np.ndarray) -> None:
         """`leaving` (2, N, 3): radiance that leaves surfels, outside and inside."""
-        weight = self._surfels.area.astype(np.float64)
-        outside, inside = (self.tree.averaged(side, weight) for side in leaving)
-        if self._lights is not None:
-            self._lights.release()
-        self._lights = light_texture(self._device, self.tree, outside, inside)
+        if self._nodes is not None:
+            self._nodes.release()
+        self._nodes = node_texture(self._device, self.tree, self.tree.radiance(self._surfels, *leaving))
 
     def release(self) -> None:
         """Frees what is on the device."""
-        for item in (self._nodes, self._lights):
-            if item is not None:
-                item.release()
+        if self._nodes is not None:
+            self._nodes.release()

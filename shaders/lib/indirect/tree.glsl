@@ -1,40 +1,58 @@
-// Nodes of the light tree: core/indirect/tree.py; their layout: render/passes/indirect/pages.py. PS_NODE_WIDTH: nodes in a row
-// of textures, of two texels each.
+// Nodes of the light tree: core/indirect/tree.py; layout: render/passes/indirect/pages.py. PS_NODE_WIDTH: nodes in a row of the
+// texture, of four texels each.
+
+#include "lib/data/pack.glsl"
 
 struct PsNode {
   vec3 position;
   float radius;  // of a ball that holds it
-  vec3 facing;  // sum of area times normal, over the area
   float area;
+  int first;  // child; -1: a leaf
+  int bits;
+  float axis;
 };
 
-struct PsNodeLight {
-  vec3 outside;  // radiance of the side that normals point to
+struct PsNodeLook {
+  vec3 facing;  // sum of area times normal, over the area
+  vec3 axis;  // along which most normals lie
+  float along;  // how far they do
   float closed;  // share of the area that belongs to closed surfaces
-  vec3 inside;
-  int first;  // child; -1: a leaf
-  int octants;  // that have children, bit by bit
   bool scattered;  // leaves or hairs, and no surface
+  vec3 before, behind;  // radiance of the side that the axis points to, and of the other
+  vec3 inside;  // of closed surfaces from within
 };
 
 ivec2 ps_node_texel(int node)
 {
-  return ivec2(2 * (node & (PS_NODE_WIDTH - 1)), node / PS_NODE_WIDTH);
+  return ivec2(4 * (node & (PS_NODE_WIDTH - 1)), node / PS_NODE_WIDTH);
 }
 
 PsNode ps_node(int node)
 {
   ivec2 at = ps_node_texel(node);
   vec4 a = texelFetch(ps_nodes, at, 0), b = texelFetch(ps_nodes, at + ivec2(1, 0), 0);
-  return PsNode(a.xyz, a.w, b.xyz, b.w);
+  return PsNode(a.xyz, a.w, b.x, int(b.y), int(b.z), b.w);
 }
 
-PsNodeLight ps_node_light(int node)
+vec3 ps_unpack_radiance(vec2 codes)
 {
-  ivec2 at = ps_node_texel(node);
-  vec4 a = texelFetch(ps_node_lights, at, 0), b = texelFetch(ps_node_lights, at + ivec2(1, 0), 0);
-  // Nine bits are the whole part of a.w, the closed share is the rest.
-  float whole = floor(a.w);
-  int bits = int(whole);
-  return PsNodeLight(a.xyz, min((a.w - whole) * 2.0, 1.0), b.xyz, int(b.w), bits & 255, bits > 255);
+  float exponent = floor(codes.x / 4096.0), green = floor(codes.y / 4096.0);
+  vec3 steps = vec3(codes.x - 4096.0 * exponent, green, codes.y - 4096.0 * green);
+  return steps * exp2(exponent - 1036.0);
+}
+
+PsNodeLook ps_node_look(int number, PsNode node)
+{
+  ivec2 at = ps_node_texel(number);
+  vec4 a = texelFetch(ps_nodes, at + ivec2(2, 0), 0), b = texelFetch(ps_nodes, at + ivec2(3, 0), 0);
+  PsNodeLook look;
+  look.facing = ps_unpack_normal(a.x) * a.y;
+  look.axis = ps_unpack_normal(node.axis);
+  look.along = float(node.bits >> 15 & 63) / 63.0;
+  look.closed = float(node.bits >> 9 & 63) / 63.0;
+  look.scattered = (node.bits & 256) != 0;
+  look.before = ps_unpack_radiance(a.zw);
+  look.behind = ps_unpack_radiance(b.xy);
+  look.inside = ps_unpack_radiance(b.zw);
+  return look;
 }

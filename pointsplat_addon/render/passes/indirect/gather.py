@@ -22,7 +22,7 @@ def gather_program(world: tuple[str, ...], glossy: bool) -> Interface:
     names = (*world, *(("PS_GLOSSY",) if glossy else ()))
     return Interface(
         "gather", fragment="indirect/gather.frag", block=GATHER_BLOCK, outputs=OUTPUTS,
-        samplers=(*(("FLOAT_2D", name) for name in ("ps_nodes", "ps_node_lights", "ps_receivers")), *lights, *picture),
+        samplers=(*(("FLOAT_2D", name) for name in ("ps_nodes", "ps_receivers")), *lights, *picture),
         defines=(("PS_NODE_WIDTH", str(NODE_WIDTH)), ("PS_CELLS", str(CELLS)), *((name, "1") for name in names)),
     )  # fmt: skip
 

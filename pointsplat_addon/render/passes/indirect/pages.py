@@ -5,22 +5,43 @@ from __future__ import annotations
 import numpy as np
 
 from ....core.indirect.tree import LightTree
+from ...device.packing import octahedral
 from ...device.protocol import Device, Texture
 
-NODE_WIDTH = 2048  # nodes in a row of textures, of two texels each
+NODE_WIDTH = 1024  # nodes in a row of the texture, of four texels each
 RECEIVER_WIDTH = 1024  # receivers in a row, of three texels each
+LEVELS = 63  # steps of shares that are packed into six bits
+MANTISSA = 4096  # steps of radiance below the largest of its channels' power of two
+EXPONENTS = 1024  # half the range of exponents
 
 
-def node_texture(device: Device, tree: LightTree) -> Texture:
-    """Returns the texture of where nodes are: place and radius; normal times share, and area."""
-    rows = np.column_stack([tree.position, tree.radius, tree.facing, tree.area])
-    return _texture(device, rows, NODE_WIDTH)
+def node_texture(device: Device, tree: LightTree, radiance: np.ndarray) -> Texture:
+    """Returns the texture of nodes; radiance: (3, M, 3), as of LightTree.radiance.
+
+    texel 0  place and radius of the node
+          1  area; its first child, or -1; its octants, 8 bits, whether it is scattered, 1 bit, shares of the area that are
+             closed and along the axis, 6 bits each; the axis
+          2  direction and length of `facing`; radiance before, in two numbers
+          3  radiance behind and inside, in two numbers each
+    """
+    length = np.linalg.norm(tree.facing, axis=1)
+    bits = (
+        tree.octants.astype(np.float64)
+        + 256.0 * (tree.scattered > 0.5)
+        + 512.0 * np.rint(LEVELS * tree.closed)
+        + 512.0 * (LEVELS + 1) * np.rint(LEVELS * tree.along)
+    )
+    rows = [tree.position, tree.radius, tree.area, tree.first, bits, octahedral(tree.axis)]
+    rows += [octahedral(tree.facing), length, *(packed_radiance(side) for side in radiance)]
+    return _texture(device, np.column_stack(rows), NODE_WIDTH)
 
 
-def light_texture(device: Device, tree: LightTree, outside: np.ndarray, inside: np.ndarray) -> Texture:
-    """Returns the texture of nodes' radiance, (M, 3) of either side, with what says where their children are."""
-    bits = tree.octants + 256.0 * (tree.scattered > 0.5) + np.minimum(0.5 * tree.closed, 0.499)
-    return _texture(device, np.column_stack([outside, bits, inside, tree.first]), NODE_WIDTH)
+def packed_radiance(radiance: np.ndarray) -> np.ndarray:
+    """Packs radiance (N, 3) into two whole numbers below 2^24, (N, 2): exponent and red, green and blue."""
+    values = np.clip(radiance, 0.0, 1e30).astype(np.float64)
+    exponent = np.frexp(np.maximum(values.max(axis=1), 1e-30))[1]
+    steps = np.minimum(np.rint(np.ldexp(values, -exponent[:, None]) * MANTISSA), MANTISSA - 1)
+    return np.column_stack([(exponent + EXPONENTS) * MANTISSA + steps[:, 0], steps[:, 1] * MANTISSA + steps[:, 2]])
 
 
 def receiver_texture(
