@@ -19,7 +19,7 @@
 
 float ps_covered[PS_CELLS * PS_CELLS];  // share of the cell
 float ps_weight[PS_CELLS * PS_CELLS];  // of what covers it: solid angle times cosine
-float ps_inside[PS_CELLS * PS_CELLS];  // covered by closed surfaces that were entered, and not left again
+float ps_inside[PS_CELLS * PS_CELLS];  // covered by surfaces that are seen from before, less those from behind
 
 // Puts the child whose octant differs from `own` by `k` on the stack.
 #define PS_PUSH(k) \
@@ -65,16 +65,15 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   }
   float part = overlap.x * overlap.y * share / cell;
   int i = at.y * PS_CELLS + at.x;
-  // What leaves a closed surface that was entered in this cell is hidden by where it was entered.
+  // Of surfaces that a cell shows from behind, as much is hidden as it shows from before: where they are closed, by themselves.
   float entered = seen.front * part, left = seen.back * part;
-  float hidden = min(look.closed * left, ps_inside[i] + look.closed * entered);
-  ps_inside[i] += look.closed * entered - hidden;
+  float hidden = look.scattered ? 0.0 : min(left, ps_inside[i] + entered);
+  ps_inside[i] += look.scattered ? 0.0 : entered - hidden;
   float seen_back = left - hidden, whole = entered + seen_back;
   float open = 1.0 - ps_covered[i], covers = look.scattered ? (1.0 - exp(-whole)) * open : min(whole, open);
   ps_covered[i] += covers;
   ps_weight[i] += covers * cell * seen.direction.z;
-  // Of an open surface either side is before or behind; the inside is that of closed ones alone.
-  vec3 radiance = (entered * seen.radiance + seen_back * mix(seen.radiance, look.inside, look.closed)) / max(whole, 1e-20);
+  vec3 radiance = (entered * seen.radiance + seen_back * (look.scattered ? seen.radiance : look.inside)) / max(whole, 1e-20);
   ps_add(sum, radiance, covers * cell, seen.direction, lobe);
   sum.nearness += covers * cell * seen.direction.z / seen.distance;
 }

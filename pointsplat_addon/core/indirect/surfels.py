@@ -15,7 +15,7 @@ class Surfels:
     position: np.ndarray  # (N, 3) float32
     normal: np.ndarray  # (N, 3) float32, unit; (0, 0, 0): turned to every side, as a ball is
     area: np.ndarray  # (N,) float32: of one side; of a ball its whole surface
-    closed: np.ndarray  # (N,) bool: of a closed surface, behind whose outside there is an inside
+    closed: np.ndarray  # (N,) bool: of a closed surface, whose inside nobody sees
     scattered: np.ndarray  # (N,) bool: leaves and hairs, which do not tile a surface
     albedo: np.ndarray  # (N, 3) float32: share of the light that falls on it which it scatters
     emission: np.ndarray  # (N, 3) float32: radiance

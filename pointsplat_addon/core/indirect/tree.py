@@ -17,7 +17,7 @@ from .surfels import Surfels
 
 SQUARINGS = 3  # of the matrix whose largest eigenvector is looked for
 # Columns of sums over surfels, weighted by area.
-AREA, POSITION, NORMAL, CLOSED, SCATTERED, PRODUCTS = 0, slice(1, 4), slice(4, 7), 7, 8, slice(9, 15)
+AREA, POSITION, NORMAL, SCATTERED, PRODUCTS = 0, slice(1, 4), slice(4, 7), 7, slice(8, 14)
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # of coordinates, of PRODUCTS
 
 
@@ -31,7 +31,6 @@ class LightTree:
     area: np.ndarray  # (M,) float32
     axis: np.ndarray  # (M, 3) float32, unit, to the side that `facing` is on: largest eigenvector of the mean of normals' products
     along: np.ndarray  # (M,) float32: 1 where all normals lie along the axis, 0 where they are turned evenly
-    closed: np.ndarray  # (M,) float32: share of the area that belongs to closed surfaces
     scattered: np.ndarray  # (M,) float32: share of the area that belongs to leaves and hairs
     first: np.ndarray  # (M,) int32: first child; -1: a leaf
     octants: np.ndarray  # (M,) uint8: which of the eight children there are, bit by bit
@@ -45,14 +44,13 @@ class LightTree:
     def radiance(self, surfels: Surfels, outside: np.ndarray, inside: np.ndarray) -> np.ndarray:
         """Returns the radiance of all nodes from that of surfels' two sides, (N, 3) each: (3, M, 3) float32.
 
-        What one sees from where the node's axis points, from the other side, and of closed surfaces from within.
+        What one sees from where the node's axis points, from the other side, and of surfaces from behind.
         """
         area = surfels.area.astype(np.float64)[:, None]
-        closed = surfels.closed.astype(np.float64)[:, None]
         round_ones = ~surfels.normal.any(axis=1)[:, None]
-        behind = np.where(round_ones, area, area * (1 - closed))
+        behind = np.where(round_ones | surfels.scattered[:, None], area, 0.0)
         of_behind = np.where(round_ones, outside, inside)
-        columns = [area * outside, area, behind * of_behind, behind, area * closed * inside, area * closed]
+        columns = [area * outside, area, behind * of_behind, behind, area * inside, area]
         total = np.zeros((len(self), 12))
         np.add.at(total, self.leaf, np.column_stack(columns))
         for nodes, count, children in self.levels:
@@ -106,12 +104,11 @@ def build_tree(surfels: Surfels) -> LightTree:
 
 
 def _columns(surfels: Surfels, order: np.ndarray) -> np.ndarray:
-    """(N, 15) float64: area, and times it position, normal, whether surfaces are closed and whether scattered, and
-    products of normals."""
+    """(N, 14) float64: area, and times it position, normal, whether they are scattered, and products of normals."""
     normal = surfels.normal[order].astype(np.float64)
     columns = np.column_stack(
         [
-            np.ones(len(order)), surfels.position[order], normal, surfels.closed[order], surfels.scattered[order],
+            np.ones(len(order)), surfels.position[order], normal, surfels.scattered[order],
             *(normal[:, a] * normal[:, b] for a, b in PAIRS),
         ]
     )  # fmt: skip
@@ -127,7 +124,7 @@ def _leaf_radius(surfels: Surfels, order: np.ndarray, sums: np.ndarray, begin: n
 
 
 def _merged(sums: np.ndarray, radii: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sums (n, 15) and radii (n,) of nodes with so many (n,) of the children."""
+    """Sums (n, 14) and radii (n,) of nodes with so many (n,) of the children."""
     first = starts(count)
     merged = np.add.reduceat(sums, first)
     middle = np.repeat(merged[:, POSITION] / merged[:, :1], count, axis=0)
@@ -161,7 +158,6 @@ def _placed(
         area=sums[number, AREA].astype(f),
         axis=axis.astype(f),
         along=along.astype(f),
-        closed=means[:, CLOSED].astype(f),
         scattered=means[:, SCATTERED].astype(f),
         first=first,
         octants=masks[number],

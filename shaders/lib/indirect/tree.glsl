@@ -16,10 +16,9 @@ struct PsNodeLook {
   vec3 facing;  // sum of area times normal, over the area
   vec3 axis;  // along which most normals lie
   float along;  // how far they do
-  float closed;  // share of the area that belongs to closed surfaces
   bool scattered;  // leaves or hairs, and no surface
   vec3 before, behind;  // radiance of the side that the axis points to, and of the other
-  vec3 inside;  // of closed surfaces from within
+  vec3 inside;  // of surfaces, from behind
 };
 
 ivec2 ps_node_texel(int node)
@@ -48,8 +47,7 @@ PsNodeLook ps_node_look(int number, PsNode node)
   PsNodeLook look;
   look.facing = ps_unpack_normal(a.x) * a.y;
   look.axis = ps_unpack_normal(node.axis);
-  look.along = float(node.bits >> 15 & 63) / 63.0;
-  look.closed = float(node.bits >> 9 & 63) / 63.0;
+  look.along = float(node.bits >> 9 & 63) / 63.0;
   look.scattered = (node.bits & 256) != 0;
   look.before = ps_unpack_radiance(a.zw);
   look.behind = ps_unpack_radiance(b.xy);

@@ -19,8 +19,8 @@ def node_texture(device: Device, tree: LightTree, radiance: np.ndarray) -> Textu
     """Returns the texture of nodes; radiance: (3, M, 3), as of LightTree.radiance.
 
     texel 0  place and radius of the node
-          1  area; its first child, or -1; its octants, 8 bits, whether it is scattered, 1 bit, shares of the area that are
-             closed and along the axis, 6 bits each; the axis
+          1  area; its first child, or -1; its octants, 8 bits, whether it is scattered, 1 bit, how far normals lie along the
+             axis, 6 bits; the axis
           2  direction and length of `facing`; radiance before, in two numbers
           3  radiance behind and inside, in two numbers each
     """
@@ -28,8 +28,7 @@ def node_texture(device: Device, tree: LightTree, radiance: np.ndarray) -> Textu
     bits = (
         tree.octants.astype(np.float64)
         + 256.0 * (tree.scattered > 0.5)
-        + 512.0 * np.rint(LEVELS * tree.closed)
-        + 512.0 * (LEVELS + 1) * np.rint(LEVELS * tree.along)
+        + 512.0 * np.rint(LEVELS * tree.along)
     )
     rows = [tree.position, tree.radius, tree.area, tree.first, bits, octahedral(tree.axis)]
     rows += [octahedral(tree.facing), length, *(packed_radiance(side) for side in radiance)]
