@@ -12,13 +12,17 @@
 
 #define PS_STACK 128
 #define PS_LEAST_SIDE 0.5  // cells: half the side of what a piece covers at least
-#define PS_FINENESS 2.0  // parts of a near leaf along its side, times how far away it is, over that
-#define PS_MOST_PARTS 8
+#define PS_FINENESS 3.0  // parts of a near leaf along its side, times how far away it is, over that
+#define PS_MOST_PARTS 12
+// Squares of pieces tile cells unevenly: above the first share of a cell, what is open is closed faster, so many times.
+#define PS_GAPS 0.9
+#define PS_TIGHTENED 1.0
 #define PS_ABOVE 0.05  // radii of a leaf above the receiver's plane from which on it is seen
 #define PS_SKY_ROUGHNESS 0.4  // of the world's picture that is as blurred as a cell is wide
 
 float ps_covered[PS_CELLS * PS_CELLS];  // share of the cell
 float ps_weight[PS_CELLS * PS_CELLS];  // of what covers it: solid angle times cosine
+vec3 ps_light[PS_CELLS * PS_CELLS];  // that comes from what covers it, times solid angle and cosine
 float ps_inside[PS_CELLS * PS_CELLS];  // covered by surfaces that are seen from before, less those from behind
 
 // Puts the child whose octant differs from `own` by `k` on the stack.
@@ -40,9 +44,8 @@ float ps_lobe(vec3 direction, vec4 lobe)
   return exp(lobe.w * (dot(direction, lobe.xyz) - 1.0));
 }
 
-void ps_add(inout PsGathered sum, vec3 radiance, float solid_angle, vec3 direction, vec4 lobe)
+void ps_add_glossy(inout PsGathered sum, vec3 radiance, float solid_angle, vec3 direction, vec4 lobe)
 {
-  sum.diffuse += radiance * (solid_angle * direction.z);
 #ifdef PS_GLOSSY
   sum.glossy += radiance * (solid_angle * ps_lobe(direction, lobe));
 #endif
@@ -74,7 +77,8 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   ps_covered[i] += covers;
   ps_weight[i] += covers * cell * seen.direction.z;
   vec3 radiance = (entered * seen.radiance + seen_back * (look.scattered ? seen.radiance : look.inside)) / max(whole, 1e-20);
-  ps_add(sum, radiance, covers * cell, seen.direction, lobe);
+  ps_light[i] += radiance * (covers * cell * seen.direction.z);
+  ps_add_glossy(sum, radiance, covers * cell, seen.direction, lobe);
   sum.nearness += covers * cell * seen.direction.z / seen.distance;
 }
 
@@ -114,6 +118,7 @@ void main()
   for (int i = 0; i < PS_CELLS * PS_CELLS; i++) {
     ps_covered[i] = 0.0;
     ps_weight[i] = 0.0;
+    ps_light[i] = vec3(0.0);
     ps_inside[i] = 0.0;
   }
   PsGathered sum = PsGathered(vec3(0.0), vec3(0.0), 0.0);
@@ -194,9 +199,11 @@ void main()
       }
       vec3 direction = ps_direction_from_cell(vec2(x, y) + 0.5);
       int i = y * PS_CELLS + x;
-      float left = 1.0 - ps_covered[i];
+      float covered = ps_covered[i], tight = min(covered + max(covered - PS_GAPS, 0.0) * PS_TIGHTENED, 1.0);
+      float left = 1.0 - tight, scale = tight / max(covered, 1e-6);
+      sum.diffuse += ps_light[i] * scale;
       // What is open of a cell that is covered in part is where it is not: on the other side of its middle.
-      float left_weight = left > 1e-3 ? clamp(weight - ps_weight[i], 0.0, weight) : 0.0;
+      float left_weight = left > 1e-3 ? clamp(weight - ps_weight[i] * scale, 0.0, weight) : 0.0;
       whole += weight;
 #ifdef PS_GLOSSY
       float of_lobe = angle * ps_lobe(direction, lobe);
