@@ -17,6 +17,7 @@
 // Squares of pieces tile cells unevenly: above the first share of a cell, what is open is closed faster, so many times.
 #define PS_GAPS 0.9
 #define PS_TIGHTENED 1.0
+#define PS_TURNED 0.25
 #define PS_ABOVE 0.05  // radii of a leaf above the receiver's plane from which on it is seen
 #define PS_SKY_ROUGHNESS 0.4  // of the world's picture that is as blurred as a cell is wide
 
@@ -99,6 +100,13 @@ void ps_deposit(inout PsGathered sum, PsSeen seen, PsNodeLook look, vec4 lobe)
   ps_cover(sum, first + ivec2(1, 1), low, high, share, cell, seen, look, lobe);
 }
 
+// How much larger than a cell a node may be whose surface is flat than one that is turned to all sides.
+float ps_sameness(PsNode node)
+{
+  float along = float(node.bits >> 9 & 63) / 63.0;
+  return mix(PS_TURNED, 1.0, along * along * along);
+}
+
 void main()
 {
   ivec2 texel = ivec2(gl_FragCoord.xy);
@@ -138,7 +146,7 @@ void main()
     vec3 local = vec3(dot(offset, tangent), dot(offset, across), max(height, 0.0)) / d;
     float cell = ps_cell_solid_angle(local);
     float largest = min(PS_PI * node.radius * node.radius, 2.0 * node.area) / d2;
-    if (node.first >= 0 && (d < 1.5 * node.radius || largest > u.coarseness * cell) && size < PS_STACK - 8) {
+    if (node.first >= 0 && (d < 1.5 * node.radius || largest > u.coarseness * cell * ps_sameness(node)) && size < PS_STACK - 8) {
       // Where the receiver lies, seen from the node; the children there come first, those opposite last.
       int own = (offset.x < 0.0 ? 1 : 0) | (offset.y < 0.0 ? 2 : 0) | (offset.z < 0.0 ? 4 : 0);
       PS_PUSH(7) PS_PUSH(6) PS_PUSH(5) PS_PUSH(4) PS_PUSH(3) PS_PUSH(2) PS_PUSH(1) PS_PUSH(0)

@@ -25,6 +25,7 @@ from ..cache.store import Store
 from .density import Density
 
 TYPICAL_COSINE = 0.6  # of directions in which surfels are seen
+FEWEST_IN_FOLIAGE = 2000  # triangles: with fewer, open edges are those of floors and walls
 MANY_INSTANCES = 16  # of a geometry, from which on they share samples
 
 
@@ -66,7 +67,9 @@ def _surfels(scene: Scene, geometry: Geometry, matrices: np.ndarray, density: De
         if passing(mesh, table) is not None:
             return []
         closed = store.lookup(Key(Kind.IS_CLOSED, mesh.key), lambda: is_closed(mesh))
-        leaves = store.lookup(Key(Kind.IS_FOLIAGE, mesh.key), lambda: is_foliage(mesh.position, mesh.triangles))
+        leaves = len(mesh.triangles) * len(matrices) >= FEWEST_IN_FOLIAGE and store.lookup(
+            Key(Kind.IS_FOLIAGE, mesh.key), lambda: is_foliage(mesh.position, mesh.triangles)
+        )
         kind = closed, leaves and not closed
         if len(matrices) < MANY_INSTANCES:
             return [_of_mesh(mesh, table, matrix, density, kind) for matrix in matrices]
