@@ -1,8 +1,8 @@
 """Samples of meshes from which light is gathered: as dense as a view needs, and denser where it looks from near.
 
 A triangle is cut into congruent parts, each with a sample in its middle, so that the samples of a surface tile it.
-Of triangles smaller than that, samples follow at even steps of the surface that is worth one sample (systematic
-sampling), so that what they stand for adds up to the whole.
+Smaller triangles are taken together, in Morton order, as long as they are worth one sample and turned one way: their
+areas add up to the whole.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ..numeric.morton import morton_codes, sorted_by_code
 from ..numeric.record import record
 from ..numeric.segments import owners, ranges
 from ..numeric.vectors import cross, dot
@@ -20,15 +21,31 @@ from ..surface.samples import Samples
 BIGGEST_PART = 0.25  # of its distance: the longest edge of what one spacing holds for
 MOST_CUTS = 24  # times that a triangle is halved
 MOST_PARTS = 1 << 20  # of all triangles of a mesh
+SLIVER = 8.0  # square of the longest edge over the area, from which on a triangle is cut to the length of its samples
+TURNED_ONE_WAY = 0.9  # length of the mean of unit normals, below which triangles are not taken together
+REFINEMENTS, FINER = 4, 4.0  # times that groups of triangles turned several ways are divided; into so many
 Spacing = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @record
 class LightSamples:
-    """N samples of a mesh and what each stands for."""
+    """N samples of a mesh, where they lie and what each stands for."""
 
-    samples: Samples
-    area: np.ndarray  # (N,) float64, object units squared
+    samples: Samples  # for attributes
+    position: np.ndarray  # (N, 3) float64
+    normal: np.ndarray  # (N, 3) float64, unit
+    area: np.ndarray  # (N,) float64
+
+
+@record
+class _Parts:
+    """Parts of triangles: the weights (3 corners, 2, M) of their corners, and their triangles (M,)."""
+
+    weights: np.ndarray
+    triangle: np.ndarray
+
+    def take(self, rows: np.ndarray) -> _Parts:
+        return _Parts(self.weights[:, :, rows], self.triangle[rows])
 
 
 def light_samples(mesh: Mesh, spacing: Spacing, finest: float) -> LightSamples:
@@ -37,35 +54,50 @@ def light_samples(mesh: Mesh, spacing: Spacing, finest: float) -> LightSamples:
     `spacing` tells for places (3, n) float64 in object space how far apart samples are to be there, (n,), and how far
     away the viewer is, (n,), both in object units. `finest`: no part is cut below this edge.
     """
-    weights, triangle = _parts(mesh, spacing, finest)
-    corners = _places(mesh, triangle, weights)
+    parts = _parts(mesh, spacing, finest)
+    corners = _places(mesh, parts.triangle, parts.weights)
     product = cross(corners[1] - corners[0], corners[2] - corners[0])
-    area = 0.5 * np.sqrt(dot(product, product))
-    apart, _ = spacing(corners.mean(axis=0))
+    twice = np.sqrt(dot(product, product))
+    area, middle = 0.5 * twice, corners.mean(axis=0)
+    normal = product / np.maximum(twice, 1e-300)
+    apart, _ = spacing(middle)
     worth = area / np.maximum(apart, 1e-300) ** 2  # samples
-    many = worth > 1.0
-    split = _split(triangle[many], weights[:, :, many], area[many], worth[many])
-    thinned = _thinned(triangle[~many], weights[:, :, ~many], area[~many], worth[~many])
-    found = [np.concatenate(pair) for pair in zip(split, thinned, strict=True)]
-    samples = Samples("AREA", found[0].astype(np.int32), found[1].astype(np.float32), found[2].astype(np.float32))
-    return LightSamples(samples, found[3])
+    many, few = np.flatnonzero(worth > 1.0), np.flatnonzero((worth <= 1.0) & (area > 0))
+    split, own, position = _split(parts.take(many), corners[:, :, many], worth[many])
+    pieces = area[many][own] / np.bincount(own)[own] if len(own) else area[:0]
+    merged = _merged(middle[:, few], normal[:, few], area[few], worth[few])
+    together = parts.take(few[merged.row])
+    samples = Samples(
+        "AREA",
+        np.concatenate([split.triangle, together.triangle]).astype(np.int32),
+        np.concatenate([split.barycentric, together.weights.mean(axis=0).T]).astype(np.float32),
+        np.concatenate(
+            [split.ellipse, _ellipses(together.weights, np.sqrt(merged.area / area[few[merged.row]]))]
+        ).astype(np.float32),
+    )
+    return LightSamples(
+        samples,
+        np.concatenate([position, merged.position]),
+        np.concatenate([normal[:, many][:, own].T, merged.normal]),
+        np.concatenate([pieces, merged.area]),
+    )
 
 
-def _parts(mesh: Mesh, spacing: Spacing, finest: float) -> tuple[np.ndarray, np.ndarray]:
-    """Parts of triangles over which the spacing hardly changes: the weights (3 corners, 2, M) of their corners, and
-    their triangles (M,)."""
+def _parts(mesh: Mesh, spacing: Spacing, finest: float) -> _Parts:
+    """Parts of triangles over which the spacing hardly changes, and no slivers."""
     triangle = np.arange(len(mesh.triangles))
     weights = np.zeros((3, 2, len(triangle)))
     weights[1, 0] = weights[2, 1] = 1.0
     done_weights, done_triangle, count = [], [], 0
     for _ in range(MOST_CUTS):
-        corners = _places(mesh, triangle, weights)
-        edges = np.stack(
-            [dot(e, e) for e in (corners[2] - corners[1], corners[0] - corners[2], corners[1] - corners[0])]
-        )
-        longest, size = edges.argmax(axis=0), np.sqrt(edges.max(axis=0))
-        _, away = spacing(corners.mean(axis=0))
-        cut = (size > BIGGEST_PART * np.maximum(away - 0.5 * size, 0.0)) & (size > finest)
+        a, b, c = _places(mesh, triangle, weights)
+        edges = np.stack([dot(edge, edge) for edge in (c - b, a - c, b - a)])
+        longest, squared = edges.argmax(axis=0), edges.max(axis=0)
+        size, product = np.sqrt(squared), cross(b - a, c - a)
+        apart, away = spacing((a + b + c) / 3)
+        cut = size > BIGGEST_PART * np.maximum(away - 0.5 * size, 0.0)
+        cut |= (size > 2 * apart) & (squared > 0.5 * SLIVER * np.sqrt(dot(product, product)))
+        cut &= size > finest
         done_weights.append(weights[:, :, ~cut])
         done_triangle.append(triangle[~cut])
         count += len(done_triangle[-1])
@@ -84,7 +116,7 @@ def _parts(mesh: Mesh, spacing: Spacing, finest: float) -> tuple[np.ndarray, np.
     else:
         done_weights.append(weights)
         done_triangle.append(triangle)
-    return np.concatenate(done_weights, axis=2), np.concatenate(done_triangle)
+    return _Parts(np.concatenate(done_weights, axis=2), np.concatenate(done_triangle))
 
 
 def _places(mesh: Mesh, triangle: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -93,10 +125,16 @@ def _places(mesh: Mesh, triangle: np.ndarray, weights: np.ndarray) -> np.ndarray
     return np.stack([a + w[0] * (b - a) + w[1] * (c - a) for w in weights])
 
 
-def _split(
-    triangle: np.ndarray, weights: np.ndarray, area: np.ndarray, worth: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """One sample in the middle of each of k^2 congruent parts of parts of triangles."""
+@record
+class _Split:
+    triangle: np.ndarray  # (N,)
+    barycentric: np.ndarray  # (N, 2)
+    ellipse: np.ndarray  # (N, 2, 2)
+
+
+def _split(parts: _Parts, corners: np.ndarray, worth: np.ndarray) -> tuple[_Split, np.ndarray, np.ndarray]:
+    """One sample in the middle of each of k^2 congruent parts of parts of triangles; of which part each is, (N,), and
+    where, (N, 3). corners: (3, 3, M)."""
     k = np.ceil(np.sqrt(worth)).astype(np.int64)
     count = k * k
     own = owners(count, np.int64)
@@ -107,25 +145,44 @@ def _split(
     place = number - row * (2 * k - row)
     down = place & 1
     first, second = ((place >> 1) + (1 + down) / 3) / k, (row + (1 + down) / 3) / k
-    a, b, c = weights[:, :, own]
-    middle = a + first * (b - a) + second * (c - a)
-    return triangle[own], middle.T, _ellipses(weights[:, :, own], 1.0 / k), area[own] / (k * k)
+    weights, corners = parts.weights[:, :, own], corners[:, :, own]
+    middle, position = (x[0] + first * (x[1] - x[0]) + second * (x[2] - x[0]) for x in (weights, corners))
+    return _Split(parts.triangle[own], middle.T, _ellipses(weights, 1.0 / k)), own, position.T
 
 
-def _thinned(
-    triangle: np.ndarray, weights: np.ndarray, area: np.ndarray, worth: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Samples in the middles of some parts, as many as all are worth together."""
-    ends = np.cumsum(worth)
-    total = float(ends[-1]) if len(ends) else 0.0
-    count = max(round(total), 1) if total > 0 else 0
-    rows = np.searchsorted(ends, (np.arange(count) + 0.5) * (total / max(count, 1)))
-    rows = np.minimum(rows, max(len(triangle) - 1, 0))
-    # What lies between two samples is shared by them: as much surface as a sample is worth where it lies.
-    stands_for = area[rows] / np.maximum(worth[rows], 1e-300) * (total / max(count, 1))
-    middle = weights[:, :, rows].mean(axis=0).T
-    wider = np.sqrt(stands_for / np.maximum(area[rows], 1e-300))
-    return triangle[rows], middle, _ellipses(weights[:, :, rows], wider), stands_for
+@record
+class _Merged:
+    """Triangles that are taken together."""
+
+    row: np.ndarray  # (N,): one of each
+    position: np.ndarray  # (N, 3)
+    normal: np.ndarray  # (N, 3), unit
+    area: np.ndarray  # (N,)
+
+
+def _merged(middle: np.ndarray, normal: np.ndarray, area: np.ndarray, worth: np.ndarray) -> _Merged:
+    """Takes triangles together that are worth less than one sample each. (3, M) middles and normals, (M,) areas."""
+    if len(area) == 0:
+        none = np.zeros((0, 3))
+        return _Merged(np.zeros(0, np.int64), none, none, np.zeros(0))
+    order, _ = sorted_by_code(morton_codes(middle.T.astype(np.float32))[0])
+    area, worth = area[order], worth[order].copy()
+    columns = np.vstack([area, middle[:, order] * area, normal[:, order] * area])
+    for again in range(REFINEMENTS + 1):
+        group = np.floor(np.cumsum(worth) - 0.5 * worth)
+        new = np.append(True, group[1:] != group[:-1])
+        first = np.flatnonzero(new)
+        sums = np.add.reduceat(columns, first, axis=1)
+        length = np.sqrt(dot(sums[4:], sums[4:]))
+        turned = length < TURNED_ONE_WAY * sums[0]
+        if again == REFINEMENTS or not turned.any():
+            break
+        finer = turned[np.cumsum(new) - 1]
+        worth[finer] = np.minimum(worth[finer] * FINER, 1.0)
+    own = normal[:, order[first]]
+    facing = np.where(length > 1e-3 * sums[0], sums[4:] / np.maximum(length, 1e-300), own)
+    middle_row = (first + np.append(first[1:], len(order))) // 2
+    return _Merged(order[middle_row], (sums[1:4] / sums[0]).T, facing.T, sums[0])
 
 
 def _ellipses(weights: np.ndarray, scale: np.ndarray) -> np.ndarray:

@@ -29,7 +29,9 @@ class LightTree:
     radius: np.ndarray  # (M,) float32: of a ball around it that holds the surfels' disks
     facing: np.ndarray  # (M, 3) float32: sum of area times normal, over the area
     area: np.ndarray  # (M,) float32
-    axis: np.ndarray  # (M, 3) float32, unit, to the side that `facing` is on: largest eigenvector of the mean of normals' products
+    axis: (
+        np.ndarray
+    )  # (M, 3) float32, unit, to the side that `facing` is on: largest eigenvector of the mean of normals' products
     along: np.ndarray  # (M,) float32: 1 where all normals lie along the axis, 0 where they are turned evenly
     scattered: np.ndarray  # (M,) float32: share of the area that belongs to leaves and hairs
     first: np.ndarray  # (M,) int32: first child; -1: a leaf

@@ -87,7 +87,7 @@ def _of_mesh(
     """The surfels of one instance, each as far from the next as it is to be where it lies."""
     moved = replace(mesh, position=(mesh.position @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32))
     made = light_samples(moved, density.spacing, density.finest)
-    return _with_look(mesh, moved, table, made, kind)
+    return _with_look(mesh, table, made, kind)
 
 
 def _of_instances(
@@ -106,7 +106,7 @@ def _of_instances(
         made = light_samples(
             mesh, lambda at, apart=apart: (np.full(at.shape[1], apart), np.full(at.shape[1], np.inf)), 0.0
         )
-        local = _with_look(mesh, mesh, table, made, kind)
+        local = _with_look(mesh, table, made, kind)
         found += [_moved(local, matrix) for matrix in matrices[octave == one]]
     return found
 
@@ -128,18 +128,16 @@ def _moved(surfels: Surfels, matrix: np.ndarray) -> Surfels:
     )
 
 
-def _with_look(mesh: Mesh, moved: Mesh, table: MaterialTable, made: LightSamples, kind: tuple[bool, bool]) -> Surfels:
-    """Surfels at samples; `moved`: the mesh where it stands, which has the normals of its triangles alone."""
+def _with_look(mesh: Mesh, table: MaterialTable, made: LightSamples, kind: tuple[bool, bool]) -> Surfels:
+    """Surfels at samples that were taken of the mesh, or of it where it stands."""
     samples = made.samples
     number = np.arange(len(samples), dtype=np.float32)
     cloud = point_cloud(mesh, samples, evaluate(mesh, samples), table, number)
     assert cloud.value is not None
     kept = cloud.value.astype(np.int64)
-    bare = replace(moved, vertex_normal=None, corner_normal=None)
-    there = evaluate(bare, samples, np.zeros(3))
     albedo, emission = _look(cloud, table)
     return Surfels(
-        np.zeros(3), there.position[kept], there.plane[kept], made.area[kept].astype(np.float32),
+        np.zeros(3), made.position[kept].astype(np.float32), made.normal[kept].astype(np.float32), made.area[kept].astype(np.float32),
         *(np.full(len(kept), flag) for flag in kind), albedo, emission,
     )  # fmt: skip
 

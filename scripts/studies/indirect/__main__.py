@@ -28,7 +28,9 @@ SEEDS = 101, 202
 GAIN = 4.0
 
 
-def drawn(file: Path, program: Program, seed: int, folder: Path, settings: dict, again: bool = False) -> tuple[np.ndarray, dict]:
+def drawn(
+    file: Path, program: Program, seed: int, folder: Path, settings: dict, again: bool = False
+) -> tuple[np.ndarray, dict]:
     """(H, W, 4) and what drawing it took; drawn in a process of its own if it is not there. RuntimeError: it could not be."""
     path = folder / f"{file.stem}-{program.name}-{program.samples}-{seed}.exr"
     found: dict = {}

@@ -52,7 +52,10 @@ def picture_sky(strength: float = 1.0) -> None:
     width, height = 256, 128
     v, u = np.mgrid[0:height, 0:width]
     up, turn = (v + 0.5) / height * math.pi - math.pi / 2, (u + 0.5) / width * 2 * math.pi
-    blue = np.stack([0.35 + 0 * up, 0.5 + 0 * up, 0.8 + 0 * up], axis=2) * (0.6 + 0.6 * np.sin(np.maximum(up, 0)))[..., None]
+    blue = (
+        np.stack([0.35 + 0 * up, 0.5 + 0 * up, 0.8 + 0 * up], axis=2)
+        * (0.6 + 0.6 * np.sin(np.maximum(up, 0)))[..., None]
+    )
     ground = np.broadcast_to(np.array([0.2, 0.16, 0.12]), blue.shape)
     glow = np.exp(6 * (np.cos(up - 0.6) * np.cos(turn - 2.0) - 1))[..., None] * np.array([3.0, 2.4, 1.6])
     color = np.where((up > 0)[..., None], blue + glow, ground)
@@ -128,7 +131,11 @@ def stand(item: Any, place: tuple[float, float], height: float, turn: float = 0.
 
 def room(data: Path) -> None:
     """A room with a window, lit through it by a sun and a sky."""
-    wall, floor, red = matte("Wall", (0.75, 0.72, 0.68)), matte("Floor", (0.4, 0.28, 0.18)), matte("Red", (0.6, 0.1, 0.08))
+    wall, floor, red = (
+        matte("Wall", (0.75, 0.72, 0.68)),
+        matte("Floor", (0.4, 0.28, 0.18)),
+        matte("Red", (0.6, 0.1, 0.08)),
+    )
     box(floor, (-2.5, -2.5, -0.2), (2.5, 2.5, 0.0))
     box(wall, (-2.5, -2.5, 2.6), (2.5, 2.5, 2.8))
     box(wall, (-2.7, -2.7, -0.2), (-2.5, 2.7, 2.8))
@@ -146,7 +153,11 @@ def room(data: Path) -> None:
 
 def walls(data: Path) -> None:
     """A box of coloured walls with an area lamp."""
-    white, red, green = matte("White", (0.73, 0.73, 0.73)), matte("Red", (0.63, 0.06, 0.05)), matte("Green", (0.14, 0.45, 0.09))
+    white, red, green = (
+        matte("White", (0.73, 0.73, 0.73)),
+        matte("Red", (0.63, 0.06, 0.05)),
+        matte("Green", (0.14, 0.45, 0.09)),
+    )
     plane(white, 2.0)
     plane(white, 2.0, (0, 0, 2), (math.pi, 0, 0))
     plane(white, 2.0, (0, 1, 1), (math.pi / 2, 0, 0))
@@ -220,7 +231,9 @@ def scan(data: Path) -> None:
     tree = look.node_tree
     node = tree.nodes.new("ShaderNodeAttribute")
     node.attribute_name = cloud.data.attributes[-1].name if "Col" not in cloud.data.attributes else "Col"
-    tree.links.new(node.outputs["Color"], next(n for n in tree.nodes if n.type == "BSDF_PRINCIPLED").inputs["Base Color"])
+    tree.links.new(
+        node.outputs["Color"], next(n for n in tree.nodes if n.type == "BSDF_PRINCIPLED").inputs["Base Color"]
+    )
     cloud.data.materials.append(look)
     cloud.location = 0, 0, 1.5 * -float(upright[:, 2].min())
     lamp("SUN", 2.0, turn=(0.7, 0.3, 0.4), across=0.01)

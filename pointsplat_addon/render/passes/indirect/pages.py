@@ -25,11 +25,7 @@ def node_texture(device: Device, tree: LightTree, radiance: np.ndarray) -> Textu
           3  radiance behind and inside, in two numbers each
     """
     length = np.linalg.norm(tree.facing, axis=1)
-    bits = (
-        tree.octants.astype(np.float64)
-        + 256.0 * (tree.scattered > 0.5)
-        + 512.0 * np.rint(LEVELS * tree.along)
-    )
+    bits = tree.octants.astype(np.float64) + 256.0 * (tree.scattered > 0.5) + 512.0 * np.rint(LEVELS * tree.along)
     rows = [tree.position, tree.radius, tree.area, tree.first, bits, octahedral(tree.axis)]
     rows += [octahedral(tree.facing), length, *(packed_radiance(side) for side in radiance)]
     return _texture(device, np.column_stack(rows), NODE_WIDTH)
