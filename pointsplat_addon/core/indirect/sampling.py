@@ -96,7 +96,7 @@ def _parts(mesh: Mesh, spacing: Spacing, finest: float) -> _Parts:
         size, product = np.sqrt(squared), cross(b - a, c - a)
         apart, away = spacing((a + b + c) / 3)
         cut = size > BIGGEST_PART * np.maximum(away - 0.5 * size, 0.0)
-        cut |= (size > 2 * apart) & (squared > 0.5 * SLIVER * np.sqrt(dot(product, product)))
+        cut |= (size > 0.5 * apart) & (squared > 0.5 * SLIVER * np.sqrt(dot(product, product)))
         cut &= size > finest
         done_weights.append(weights[:, :, ~cut])
         done_triangle.append(triangle[~cut])

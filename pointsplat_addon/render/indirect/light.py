@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from ..passes.indirect.pages import node_texture, receiver_texture
 from ..passes.indirect.surfel_light import lit_surfels
 
 MOST_BOUNCE_RECEIVERS = 6000  # where light is gathered for further bounces
+TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], np.float32) / np.float32(3**0.5)
 LIFTED = 0.05  # radii of a surfel, by which its receiver lies above it
 
 
@@ -61,16 +62,12 @@ class IndirectLight:
         if not lights:
             return found
         view = self._camera.view_from_world
-        rotation = view[:3, :3]
-        position = surfels.position @ rotation.T + (view[:3, 3] + rotation @ surfels.origin)
-        normal = surfels.normal @ rotation.T
-        normal[~surfels.normal.any(axis=1)] = (0.0, 0.0, 1.0)  # balls: see below
-        for side, sign in enumerate((1.0, -1.0)):
-            some = np.flatnonzero(~surfels.closed) if side else np.arange(len(surfels))
-            if len(some):
-                found[side, some] = lit_surfels(
-                    self._device, self._lamps, lights, position[some], sign * normal[some], self._textures
-                )
+        rotation, shift = view[:3, :3], view[:3, 3] + view[:3, :3] @ surfels.origin
+        for side, rows, position, normal, share in sides(surfels):
+            lit = lit_surfels(
+                self._device, self._lamps, lights, position @ rotation.T + shift, normal @ rotation.T, self._textures
+            )
+            found[side, rows] += np.float32(share) * lit
         return found
 
     def _receivers(self) -> tuple[np.ndarray, np.ndarray]:
@@ -96,17 +93,9 @@ class IndirectLight:
 
     def _gathered_at_surfels(self, rows: np.ndarray) -> np.ndarray:
         """(2, R, 3): irradiance over pi by sky and surfels, outside and inside, at the surfels `rows`."""
-        surfels = self._surfels.take(rows)
         found = np.zeros((2, len(rows), 3), np.float32)
-        lift = LIFTED * np.sqrt(surfels.area / np.pi)[:, None]
-        normal = surfels.normal.copy()
-        normal[~surfels.normal.any(axis=1)] = (0.0, 0.0, 1.0)
-        for side, sign in enumerate((1.0, -1.0)):
-            some = np.flatnonzero(~surfels.closed) if side else np.arange(len(rows))
-            if len(some):
-                up = sign * normal[some]
-                at = surfels.position[some] + lift[some] * up
-                found[side, some] = self.gathered(at, up)[:, :3]
+        for side, some, position, normal, share in sides(self._surfels.take(rows)):
+            found[side, some] += np.float32(share) * self.gathered(position, normal)[:, :3]
         return found
 
     def gathered(self, position: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -142,3 +131,22 @@ class IndirectLight:
         """Frees what is on the device."""
         if self._nodes is not None:
             self._nodes.release()
+
+
+def sides(surfels: Surfels) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray, float]]:
+    """Yields what light falls on: 0 outside or 1 inside, rows of surfels (n,), places and normals (n, 3) slightly above
+    them, and the share that these have in the whole side.
+
+    What has no normal is looked at from the four corners of a tetrahedron.
+    """
+    radius = np.sqrt(surfels.area / np.pi)[:, None]
+    flat = surfels.normal.any(axis=1)
+    for side, rows in ((0, np.flatnonzero(flat)), (1, np.flatnonzero(flat & ~surfels.closed))):
+        if len(rows):
+            normal = surfels.normal[rows] * np.float32(1 - 2 * side)
+            yield side, rows, surfels.position[rows] + LIFTED * radius[rows] * normal, normal, 1.0
+    rows = np.flatnonzero(~flat)
+    for corner in TETRAHEDRON if len(rows) else ():
+        normal = np.broadcast_to(corner, (len(rows), 3))
+        # The area of a ball is four times that of its disk.
+        yield 0, rows, surfels.position[rows] + 0.5 * radius[rows] * normal, normal, 0.25
