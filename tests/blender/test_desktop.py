@@ -44,7 +44,9 @@ def test_a_desktop_blender_draws_orbits_renders_cancels_reloads_and_quits(tmp_pa
 def test_a_desktop_blender_imports_files_of_every_format(tmp_path: Path) -> None:
     data = os.environ.get("POINTSPLAT_DATA")
     if not data:
-        pytest.skip("no scans and captures: POINTSPLAT_DATA names no folder of them (tests/desktop/files.py lists them)")
+        pytest.skip(
+            "no scans and captures: POINTSPLAT_DATA names no folder of them (tests/desktop/files.py lists them)"
+        )
     archives = sorted((ROOT / "dist").glob("pointsplat-*.zip"))  # the libraries that read LAZ come with the extension
     if not archives:
         pytest.skip("no extension in dist/: python3 scripts/dev.py build makes it")

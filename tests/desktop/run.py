@@ -1,7 +1,8 @@
 """Drive the add-on inside a desktop Blender with a window; the exit status tells whether all went well.
 
     blender --factory-startup --python tests/desktop/run.py [-- --zip dist/pointsplat-0.1.0.zip] [--output out/desktop]
-        [--scene FILE.blend [--full]] [--data FOLDER [--only TEXT]] [--parts orbit views ...] [--limit SECONDS]
+        [--scene FILE.blend [--full]] [--data FOLDER [--only TEXT]] [--guide FILE.laz] [--parts orbit views ...]
+        [--limit SECONDS]
 
 Facts decide the exit status; times are printed as figures, because they are the machine's.
 Without --zip the checkout is registered as it lies. With --scene, a file is orbited in the Rendered viewport, and that
@@ -28,6 +29,7 @@ from mathutils import Euler, Quaternion
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender runs this file alone
 from files import files
+from guide import guide
 from handling import handling
 from orbit import Meter, orbit_file, rest
 from window import check, difference, problems, save_picture, say, shoot, viewport
@@ -47,6 +49,7 @@ def arguments():
     parser.add_argument("--parts", nargs="+", help="tell only these parts of the story")
     parser.add_argument("--data", type=Path, help="a folder of scans and captures: import these, and that is all")
     parser.add_argument("--only", default="", help="of --data: files whose path has this in it")
+    parser.add_argument("--guide", type=Path, help="a .laz file: take the guide's pictures of it, and that is all")
     parser.add_argument("--limit", type=float, default=600, help="seconds until a hang is taken for one")
     parser.add_argument("--output", type=Path, default=ROOT / "out" / "desktop")
     argv = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
@@ -411,6 +414,9 @@ def story(args):
     check(registered(), "the engine is registered")
     if args.scene:
         yield from orbit_file(args.output, args.scene, args.full)
+        return
+    if args.guide:
+        yield from guide(args.output, args.guide.resolve())
         return
     if args.data:
         yield from files(args.output, args.data.resolve(), args.only)
