@@ -190,6 +190,11 @@ ROWS: dict[str, Row] = {
     ),
     "points, indices": Row(solid_cases.plain_sphere, COMBINED | {"object_index", "material_index"}),
     "points, Cryptomatte": Row(solid_cases.plain_sphere, COMBINED | {"crypto_object"}, samples=4),
+    "points that move": Row(solid_cases.flowing),
+    "points that move, motion": Row(solid_cases.flowing, COMBINED | {"vector"}),
+    "visibility buffer, points that move, motion": Row(
+        lambda: with_settings(solid_cases.flowing(), technique="VISIBILITY"), COMBINED | {"vector"}
+    ),
     "points and polygons, motion": Row(solid_cases.moving, COMBINED | {"vector"}),
     "smoke, depth and motion": Row(translucent_cases.in_smoke, COMBINED | {"depth", "vector"}),
     "a light that is off": Row(lambda: further_lights(replace(far_light(), color=np.zeros(3)))),
