@@ -69,6 +69,20 @@ void main()
 #ifdef PS_ANTIALIASED
   opacity *= sqrt(before / det);
 #endif
+#ifdef PS_NODES
+  // The low-pass widens each of the splats for which a node stands; where it takes from their opacity, so much as it widens.
+  vec2 means = texelFetch(ps_means, at, 0).xy;
+  float area = means.x * means.x * pow(abs(determinant(linear)), 0.6666667) * abs(focal.x * focal.y);
+  float widened = 1.0 + PS_LOW_PASS / max(area, 1e-9);
+#ifdef PS_COMPENSATED
+  means.y /= widened;
+#else
+  opacity *= widened;
+#endif
+  float kind = PS_NODE_KIND + max(means.y, 2.0 * PS_LEAST_ALPHA);
+#else
+  const float kind = PS_CAPTURED_KIND;
+#endif
 
   vec3 direction = ps_is_perspective() ? head.xyz - more.xyz : more.xyz;
   direction *= 1.0 / max(max(abs(direction.x), abs(direction.y)), max(abs(direction.z), 1e-30));
@@ -76,10 +90,10 @@ void main()
   bool seen = d > u.near && d < u.far && opacity >= PS_LEAST_ALPHA && det < 1e30;
   out_centre = seen ? vec4(u.focal * p.xy * over, d, opacity) : vec4(0.0);
   out_shape = seen ? vec4(wide, det) : vec4(1.0, 0.0, 1.0, 1.0);
-  out_source = vec4(ps_finite(ps_linear_from_display(display)), PS_CAPTURED_KIND);
+  out_source = vec4(ps_finite(ps_linear_from_display(display)), kind);
 #ifdef PS_HOLDOUT
   if (more.w > 0.5) {
-    out_source = vec4(0.0, 0.0, 0.0, -1.0 - PS_CAPTURED_KIND);
+    out_source = vec4(0.0, 0.0, 0.0, -1.0 - kind);
   }
 #endif
 #ifdef PS_AMONG_OPAQUE

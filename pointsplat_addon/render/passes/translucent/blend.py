@@ -45,6 +45,8 @@ def draw_program(options: TranslucentOptions, channel: str, listed: bool = False
     if options.captured:
         constants = {"PS_MOST_ALPHA": MOST_ALPHA, "PS_LEAST_ALPHA": LEAST_ALPHA}
         defines += [("PS_CAPTURED", "1"), *((name, repr(value)) for name, value in constants.items())]
+    if options.nodes:
+        defines.append(("PS_NODES", "1"))
     if options.tiled:
         read.append("tiles")
         defines += [("PS_TILED", "1"), TILE_DEFINE]
