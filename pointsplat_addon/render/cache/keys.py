@@ -58,6 +58,7 @@ class Kind(Enum):
     AREA_SHARES = auto()  # covered fraction of each splat's ellipse
     # Of captured splats
     CAPTURED_TREE = auto()  # nodes that stand for many
+    CAPTURED_TREE_ASKED_FOR = auto()
     LARGEST_SCALES = auto()  # of each
     # Of shadows
     CASTER_BALL = auto()

@@ -16,6 +16,7 @@ from .view import View
 MIN_SPLATS = 1 << 15  # fewer are drawn as soon as they are cut
 # Small ones, of which nodes are drawn: a pixel shows four cells of each surface, and cells hold four splats and more.
 SPLATS_PER_PIXEL = 100.0
+BUILD_COST = 2  # building costs about as much as drawing the splats this many times, at most
 WORTHWHILE = 0.5  # of the splats: a cut of more is not drawn
 
 
@@ -43,7 +44,9 @@ def captured_nodes(
 ) -> dict[int, CapturedNodes]:
     """Returns, by row of geometries, what is drawn by nodes: instances that show many splats in each pixel.
 
-    In an interactive view nodes are built on another thread, and all splats are drawn until they are there.
+    In an interactive view nodes are built on another thread, and all splats are drawn until they are there. In other views
+    they are built where they are wanted a second time, or for several instances: building takes about as long as drawing
+    all splats once.
     """
     found: dict[int, CapturedNodes] = {}
     for row in dict.fromkeys(view.scene.instances.geometry[list(instances)].tolist()):
@@ -72,9 +75,12 @@ def _nodes_of(
     if not dense:
         return None
     view.check()
-    key = Key(Kind.CAPTURED_TREE, geometry.key)
+    key, asked = (Key(kind, geometry.key) for kind in (Kind.CAPTURED_TREE, Kind.CAPTURED_TREE_ASKED_FOR))
     if view.interactive and key not in store:
         store.make_later(key, lambda: build_captured_tree(splats))
+        return None
+    if key not in store and asked not in store and len(dense) < BUILD_COST:
+        store.lookup(asked, tuple)
         return None
     tree = store.lookup(key, lambda: build_captured_tree(splats))
     cuts = {i: cut_captured(tree, matrix, view.camera, tolerance) for i, matrix in dense.items()}

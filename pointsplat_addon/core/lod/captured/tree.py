@@ -22,7 +22,7 @@ WIDTH = 2.0  # standard deviations along a splat's longest axis that the edge of
 BATCH = 1 << 14  # splats that are merged together, so that their working arrays stay in the cache
 KNUD_THOMSEN = 1.6075  # exponent of his approximation to an ellipsoid's surface, within 1.1 %
 DEGREE_0 = 0.28209479177387814
-LINEAR = 15  # rows of `_rows` before the coefficients of higher degrees
+PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 @record
@@ -34,7 +34,9 @@ class CapturedTree:
     """
 
     nodes: CapturedSplats  # M, of all levels; opacities may exceed 1
-    means: np.ndarray  # (M, 2) float32, of the splats of each node: standard deviation, and opacity
+    # (M, 3) float32, of the splats of each node: the sum of their opacities; and weighted by these, their mean opacity and
+    # the mean trace of their covariances.
+    means: np.ndarray
     start: np.ndarray  # (L + 1,) int64: the first node of each level
     edge: np.ndarray  # (L,) float64: length of the cells' edges
     first_child: tuple[np.ndarray, ...]  # of each level but the last: (cells + 1,) int32
@@ -65,7 +67,7 @@ def build_captured_tree(splats: CapturedSplats) -> CapturedTree:
     own: list[np.ndarray] = []
     first_own: list[np.ndarray] = []
     first_child: list[np.ndarray] = []
-    merged: list[np.ndarray] = []
+    merged: list[_Merged] = []
     cells = np.empty(0, np.uint64)  # of the level below
     for l in range(depth, -1, -1):
         mine = level == l
@@ -80,8 +82,10 @@ def build_captured_tree(splats: CapturedSplats) -> CapturedTree:
         merged.append(_merge(splats, own[-1], first_own[-1], below))
     for levels in (own, first_own, first_child, merged):
         levels.reverse()
-    start = offsets([rows.shape[1] for rows in merged])
-    means = [np.stack([rows[13] ** -0.5, rows[14] / rows[13]], axis=1) for rows in merged]
+    start = offsets([level.rows.shape[1] for level in merged])
+    means = [
+        np.stack([level.rows[0] * level.rows[13], *(level.rows[14:16] / level.rows[13])], axis=1) for level in merged
+    ]
     return CapturedTree(
         _nodes(merged, splats), np.concatenate(means).astype(np.float32), start, edge, tuple(first_child), tuple(first_own), tuple(own), always)
 
@@ -126,51 +130,70 @@ def _ends(cells: np.ndarray) -> np.ndarray:
     return np.append(cells, cells[-1:] + np.uint64(1))
 
 
+@record
+class _Merged:
+    """Splats, or the cells of one level, n of them."""
+
+    rows: np.ndarray  # (16, n) float64, see `_rows`
+    sh: np.ndarray  # (n, H) float32: coefficients of higher degrees
+
+
 def _merge(
-    splats: CapturedSplats, own: np.ndarray, first_own: np.ndarray, below: tuple[np.ndarray, np.ndarray] | None
-) -> np.ndarray:
-    """The merged rows (15 + H, C) of the cells of one level: see `_rows`. `below`: those of the level below, and where
-    the children of each cell begin, (C + 1,)."""
+    splats: CapturedSplats, own: np.ndarray, first_own: np.ndarray, below: tuple[_Merged, np.ndarray] | None
+) -> _Merged:
+    """The merged splats of the cells of one level. `below`: those of the level below, and where the children of each
+    cell begin, (C + 1,)."""
     count = np.diff(first_own) + (0 if below is None else np.diff(below[1]))
-    higher = 0 if splats.sh is None else splats.sh.shape[1] * 3
-    out = np.empty((LINEAR + higher, len(count)))
+    out = _Merged(np.empty((16, len(count))), np.empty((len(count), _coefficients(splats)), np.float32))
     parts = list(batches(count, BATCH))
 
     def merge(which: slice) -> None:
         for a, b in parts[which]:
-            rows = _rows(splats, own[first_own[a] : first_own[b]])
-            ends = first_own[a : b + 1] - first_own[a]
+            some = own[first_own[a] : first_own[b]]
+            rows, sh, ends = _rows(splats, some), _higher(splats, some), first_own[a : b + 1] - first_own[a]
             if below is not None:
-                first = below[1]
-                children = below[0][:, first[a] : first[b]]
+                level, first = below
+                children, first = slice(first[a], first[b]), first[a : b + 1] - first[a]
                 # Splats of each cell, then its children.
-                cell = np.concatenate([np.repeat(np.arange(b - a), np.diff(part))
-                                       for part in (ends, first[a : b + 1])])  # fmt: skip
+                cell = np.concatenate([np.repeat(np.arange(b - a), np.diff(part)) for part in (ends, first)])
                 order = np.argsort(cell, kind="stable")
-                rows = np.concatenate([rows, children], axis=1)[:, order]
-                ends = ends + first[a : b + 1] - first[a]
-            out[:, a:b] = _merged(rows, ends)
+                rows = np.concatenate([rows, level.rows[:, children]], axis=1)[:, order]
+                sh = np.concatenate([sh, level.sh[children]])[order]
+                ends = ends + first
+            out.rows[:, a:b], out.sh[a:b] = _merged(rows, sh, ends)
 
     each_block(len(parts), merge, 1)
     return out
 
 
+def _coefficients(splats: CapturedSplats) -> int:
+    """How many coefficients of higher degrees a splat has, of all channels."""
+    return 0 if splats.sh is None else splats.sh.shape[1] * 3
+
+
+def _higher(splats: CapturedSplats, which: np.ndarray) -> np.ndarray:
+    """(n, H) float32: the coefficients of higher degrees of some splats."""
+    if splats.sh is None:
+        return np.empty((len(which), 0), np.float32)
+    return np.take(splats.sh.reshape(len(splats), _coefficients(splats)), which, axis=0)
+
+
 def _rows(splats: CapturedSplats, which: np.ndarray) -> np.ndarray:
-    """(15 + H, n) float64 of some splats: weight; mean (3); covariance (6), xx, xy, xz, yy, yz, zz; linear colour of
-    degree 0 (3); 1 over the surface; opacity over the surface; H coefficients of higher degrees."""
+    """(16, n) float64 of some splats: weight; mean (3); covariance (6), xx, xy, xz, yy, yz, zz; linear colour of
+    degree 0 (3); 1 over the surface; opacity and trace of the covariance, both over the
+    surface."""
     scale = splats.scale[which].T.astype(np.float64)
-    higher = 0 if splats.sh is None else splats.sh.shape[1] * 3
-    rows = np.empty((LINEAR + higher, len(which)))
-    np.maximum(splats.opacity[which] * surface(scale), 1e-300, out=rows[0])
+    area = surface(scale)
+    rows = np.empty((16, len(which)))
+    np.maximum(splats.opacity[which] * area, 1e-300, out=rows[0])
     rows[1:4] = splats.position[which].T
     axes = _axes(splats.rotation[which].T.astype(np.float64)) * scale
-    for at, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)), 4):
+    for at, (i, j) in enumerate(PAIRS, 4):
         rows[at] = (axes[i] * axes[j]).sum(axis=0)
     rows[10:13] = linear_from_display(np.maximum(DEGREE_0 * splats.base[which].T + 0.5, 0))
-    rows[13] = 1 / np.maximum(surface(scale), 1e-30)
+    rows[13] = 1 / np.maximum(area, 1e-30)
     rows[14] = splats.opacity[which] * rows[13]
-    if splats.sh is not None:
-        rows[LINEAR:] = splats.sh[which].reshape(len(which), higher).T
+    rows[15] = (rows[4] + rows[7] + rows[9]) * rows[13]
     return rows
 
 
@@ -200,8 +223,8 @@ def display_from_linear(c: np.ndarray) -> np.ndarray:
     return np.where(c > 0.0031308, 1.055 * np.maximum(c, 0.0031308) ** (1 / 2.4) - 0.055, c * 12.92)
 
 
-def _merged(rows: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Merges the columns of rows (15 + H, n), as `_rows` has them, between the `ends` (m + 1,): (15 + H, m)."""
+def _merged(rows: np.ndarray, sh: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Merges rows (16, n), as `_rows` has them, and coefficients (n, H) between the `ends` (m + 1,): (16, m), (m, H)."""
     begin, count = ends[:-1], np.diff(ends)
     out = np.empty((len(rows), len(begin)))
     out[0] = np.add.reduceat(rows[0], begin)
@@ -211,38 +234,31 @@ def _merged(rows: np.ndarray, ends: np.ndarray) -> np.ndarray:
     # Of colours, and the first terms of means and covariances.
     np.add.reduceat(rows[1:], begin, axis=1, out=out[1:])
     away = [axis - np.repeat(mean, count) for axis, mean in zip(position, out[1:4], strict=True)]
-    for at, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)), 4):
+    for at, (i, j) in enumerate(PAIRS, 4):
         out[at] += np.add.reduceat(share * away[i] * away[j], begin)
-    return out
+    sh *= share.astype(np.float32)[:, None]
+    return out, np.add.reduceat(sh, begin, axis=0)
 
 
-def _nodes(merged: list[np.ndarray], splats: CapturedSplats) -> CapturedSplats:
+def _nodes(merged: list[_Merged], splats: CapturedSplats) -> CapturedSplats:
     """The nodes of all levels as splats."""
-    count = sum(rows.shape[1] for rows in merged)
-    arrays = {"position": 3, "scale": 3, "rotation": 4, "base": 3}
-    out = {name: np.empty((count, width), np.float32) for name, width in arrays.items()}
+    rows = np.concatenate([level.rows for level in merged], axis=1)
+    count = rows.shape[1]
+    scale, rotation, base = (np.empty((count, width), np.float32) for width in (3, 4, 3))
     opacity = np.empty(count, np.float32)
-    sh = None if splats.sh is None else np.empty((count, *splats.sh.shape[1:]), np.float32)
-    at = 0
-    for rows in merged:
-        to = slice(at, at + rows.shape[1])
-        at = to.stop
 
-        def fill(block: slice, rows: np.ndarray = rows, begin: int = to.start) -> None:
-            here, some = slice(begin + block.start, begin + block.stop), rows[:, block]
-            variance, axes = np.linalg.eigh(some[[4, 5, 6, 5, 7, 8, 6, 8, 9]].T.reshape(-1, 3, 3))
-            scale = np.sqrt(np.maximum(variance, 0))
-            out["position"][here] = some[1:4].T
-            out["scale"][here] = scale
-            out["rotation"][here] = _quaternions(axes)
-            out["base"][here] = ((display_from_linear(some[10:13]) - 0.5) / DEGREE_0).T
-            opacity[here] = some[0] / np.maximum(surface(scale.T), 1e-300)
-            if sh is not None:
-                sh[here] = some[LINEAR:].T.reshape(some.shape[1], *sh.shape[1:])
+    def fill(block: slice) -> None:
+        some = rows[:, block]
+        variance, axes = np.linalg.eigh(some[[4, 5, 6, 5, 7, 8, 6, 8, 9]].T.reshape(-1, 3, 3))
+        scales = np.sqrt(np.maximum(variance, 0))
+        scale[block], rotation[block] = scales, _quaternions(axes)
+        base[block] = ((display_from_linear(some[10:13]) - 0.5) / DEGREE_0).T
+        opacity[block] = some[0] / np.maximum(surface(scales.T), 1e-300)
 
-        each_block(rows.shape[1], fill)
-    return CapturedSplats(**out, opacity=opacity, sh=sh, origin=splats.origin,
-                          antialiased=splats.antialiased)
+    each_block(count, fill, BATCH)
+    sh = None if splats.sh is None else np.concatenate([level.sh for level in merged]).reshape(-1, *splats.sh.shape[1:])
+    position = np.ascontiguousarray(rows[1:4].T, np.float32)
+    return CapturedSplats(position, scale, rotation, base, opacity, sh, splats.origin, splats.antialiased)
 
 
 def _quaternions(axes: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
   position   xyz relative to the geometry's origin; opacity
   rotation   quaternion w, x, y, z
   scale      standard deviations along the splat's own axes
-  means      of nodes alone: standard deviation and opacity of the splats for which they stand
+  means      of nodes alone: core.lod.captured.tree
 and `harmonics`, several texels a splat: its coefficients, channel by channel, degree 0 first.
 """
 
@@ -23,7 +23,7 @@ class CapturedPage:
 
     @releases_on_failure
     def __init__(self, device: Device, splats: CapturedSplats, means: np.ndarray | None = None) -> None:
-        """means: (N, 2) float32 of nodes, core.lod.captured.tree. DeviceError: there are more splats than textures hold."""
+        """means: (N, 3) float32 of nodes, core.lod.captured.tree. DeviceError: there are more splats than textures hold."""
         self.count = len(splats)
         self.sh_texels = sh_texels(splats)
         self.sh_shift = sh_shift(device)

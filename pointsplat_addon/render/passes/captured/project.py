@@ -26,7 +26,7 @@ PROJECT = block(
 def project_program(options: TranslucentOptions, sh_texels: int, sh_shift: int, antialiased: bool, nodes: bool = False) -> Interface:
     """Returns the program that projects the splats of one page. `sh_texels`, `sh_shift`: as of the page.
     `nodes`: they stand for many splats."""
-    named = {"PS_ANTIALIASED": antialiased or nodes, "PS_COMPENSATED": antialiased and nodes, "PS_AMONG_OPAQUE": options.opaque, "PS_HOLDOUT": options.holdout}
+    named = {"PS_ANTIALIASED": antialiased, "PS_AMONG_OPAQUE": options.opaque, "PS_HOLDOUT": options.holdout}
     named |= {"PS_TINT": options.tint, "PS_NODES": nodes}
     constants = {
         "PS_SH_TEXELS": sh_texels, "PS_SH_SHIFT": sh_shift, "PS_SH_MASK": (1 << sh_shift) - 1,
