@@ -65,7 +65,11 @@ def bounds_of_scales(splats: CapturedSplats) -> np.ndarray:
 
 
 def seen(
-    splats: CapturedSplats, largest: np.ndarray, view_from_object: np.ndarray, camera: Camera, everywhere: bool = False,
+    splats: CapturedSplats,
+    largest: np.ndarray,
+    view_from_object: np.ndarray,
+    camera: Camera,
+    everywhere: bool = False,
     among: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The rows (K,) int64, rising, of the splats that may show in a view, and their depths (K,) float32 less that of

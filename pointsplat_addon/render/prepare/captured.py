@@ -16,7 +16,7 @@ from .view import View
 MIN_SPLATS = 1 << 15  # fewer are drawn as soon as they are cut
 # Small ones, of which nodes are drawn: a pixel shows four cells of each surface, and cells hold four splats and more.
 SPLATS_PER_PIXEL = 100.0
-BUILD_COST = 2  # building costs about as much as drawing the splats this many times, at most
+BUILD_COST = 3  # building costs about as much as drawing the splats this many times, at most
 WORTHWHILE = 0.5  # of the splats: a cut of more is not drawn
 
 
@@ -39,14 +39,12 @@ def captured_instances(scene: Scene, usable: np.ndarray) -> tuple[int, ...]:
     return tuple(row for rows in shown for row in rows)
 
 
-def captured_nodes(
-    view: View, instances: tuple[int, ...], view_from_object: np.ndarray
-) -> dict[int, CapturedNodes]:
+def captured_nodes(view: View, instances: tuple[int, ...], view_from_object: np.ndarray) -> dict[int, CapturedNodes]:
     """Returns, by row of geometries, what is drawn by nodes: instances that show many splats in each pixel.
 
-    In an interactive view nodes are built on another thread, and all splats are drawn until they are there. In other views
-    they are built where they are wanted a second time, or for several instances: building takes about as long as drawing
-    all splats once.
+    In an interactive view nodes are built on another thread, and all splats are drawn until they are there. In other
+    views they are built where they are wanted a second time, or for many instances: building takes as long as
+    drawing all splats one to two and a half times.
     """
     found: dict[int, CapturedNodes] = {}
     for row in dict.fromkeys(view.scene.instances.geometry[list(instances)].tolist()):

@@ -1,5 +1,7 @@
 """Nodes over captured splats against sums in float64 over the splats for which they stand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -50,18 +52,22 @@ def test_nodes_have_the_moments_of_their_splats():
         assert np.abs(merged[node] - covariance).max() < 1e-5 * size**2  # measured 8e-7
         total = tree.nodes.opacity[node] * surface(tree.nodes.scale[node : node + 1].T.astype(float))[0]
         assert total == pytest.approx(weight[rows].sum(), rel=1e-4)
+        assert SPLATS.sh is not None
+        assert tree.nodes.sh is not None
         sh = np.einsum("n,nkc->kc", w, SPLATS.sh[rows])
         assert np.abs(tree.nodes.sh[node] - sh).max() < 1e-5
-        one = 1 / surface(SPLATS.scale[rows].T.astype(float))
-        assert tree.means[node, 0] == pytest.approx((w @ one) ** -0.5, rel=1e-4)
-        assert tree.means[node, 1] == pytest.approx((w * one) @ SPLATS.opacity[rows] / (w @ one), rel=1e-4)
+        o = SPLATS.opacity[rows].astype(float)
+        assert tree.means[node, 0] == pytest.approx(o.sum(), rel=1e-4)
+        assert tree.means[node, 1] == pytest.approx(o @ o / o.sum(), rel=1e-4)
+        assert tree.means[node, 2] == pytest.approx(o @ np.trace(own[rows], axis1=1, axis2=2) / o.sum(), rel=1e-4)
 
 
 def test_colours_are_averaged_in_linear_light():
     """A black and a white splat of one size: half of the light, not half of the display value."""
     black, white = (one_splat((x, 0, 0), 0.01, color=(c,) * 3) for x, c in ((0, 0), (1, 1)))
     names = ("position", "scale", "rotation", "base", "opacity")
-    tree = build_captured_tree(type(black)(*(np.concatenate([getattr(black, n), getattr(white, n)]) for n in names)))
+    both = {name: np.concatenate([getattr(black, name), getattr(white, name)]) for name in names}
+    tree = build_captured_tree(replace(black, **both))
     assert len(tree) == 1
     node = 0
     shown = reference.linear_from_display(0.28209479177387814 * tree.nodes.base[node].astype(float) + 0.5)
@@ -87,10 +93,10 @@ def test_a_cut_shows_each_splat_once(matrix, eye):
 
 def test_far_views_have_few_nodes_and_near_ones_none():
     tree = build_captured_tree(SPLATS)
-    counts = [len(cut_captured(tree, camera((0, -y, 0)).view_from_world, camera((0, -y, 0)), 1.0)) for y in (1, 20, 800)]
+    counts = [len(cut_captured(tree, camera((0, -y, 0)).view_from_world, camera((0, -y, 0)), 1.0)) for y in (1, 20, 90)]
     assert counts[0] == np.count_nonzero(SPLATS.opacity >= LEAST_ALPHA)
     assert counts[1] < counts[0] / 2
-    assert counts[2] <= 8
+    assert counts[2] < counts[1] / 2
 
 
 def test_splats_a_pixel_are_counted():
@@ -98,9 +104,9 @@ def test_splats_a_pixel_are_counted():
     largest = bounds_of_scales(SPLATS)
     found = [
         splats_a_pixel(SPLATS, largest, eye.view_from_world, eye, 1.0)
-        for eye in (camera((0, -900, 0)), camera((0, -0.05, 0)), camera((0, -900, 0), (1e3, 0, 0)))
+        for eye in (camera((0, -90, 0)), camera((0, -0.05, 0)), camera((0, -90, 0), (500, 0, 0)))
     ]
     shown = np.count_nonzero(largest >= 0)
-    assert shown / 9 <= found[0] <= shown
+    assert shown / 9 <= found[0] <= shown  # in 3 x 3 pixels at most
     assert found[1] < 0.2 * shown
     assert found[2] == 0

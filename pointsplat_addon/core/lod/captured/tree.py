@@ -1,9 +1,10 @@
-"""Nodes that stand for several captured splats (Kerbl et al. 2024, A Hierarchical 3D Gaussian Representation, section 4).
+"""Nodes that stand for several captured splats (Kerbl et al. 2024, section 4).
 
-Splats are stored in the cells of an octree, each at the finest level whose cells are not smaller than it is. The node of
-a cell merges the splats that are stored there and in all cells below: where a cell is smaller than a pixel, so is
+Splats are stored in the cells of an octree, each at the finest level whose cells are not smaller than it is. The node
+of a cell merges the splats that are stored there and in all cells below: where a cell is smaller than a pixel, so is
 all that its node stands for. A node is a Gaussian with the mean and the covariance of its splats, weighted by opacity
-times the surface of the ellipsoid; its opacity is the sum of the weights over its own surface, and may exceed 1.
+times the surface of the ellipsoid; its opacity is the sum of the weights over its own surface, and may exceed 1. What
+the low-pass of a view makes of its splats follows from means over these (shaders/captured/project.frag).
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ class CapturedTree:
     """Nodes over captured splats, level by level, coarsest first.
 
     Node `start[l] + c` is cell c of level l, in Morton order. It stands for the splats own[l][first_own[l][c]:
-    first_own[l][c + 1]] and for the nodes from first_child[l][c] to first_child[l][c + 1] of level l + 1, counted there.
+    first_own[l][c + 1]] and for the nodes from first_child[l][c] to first_child[l][c + 1] of level l + 1.
     """
 
     nodes: CapturedSplats  # M, of all levels; opacities may exceed 1
-    # (M, 3) float32, of the splats of each node: the sum of their opacities; and weighted by these, their mean opacity and
-    # the mean trace of their covariances.
+    # (M, 3) float32, of the splats of each node: the sum of their opacities; and weighted by these, the mean opacity
+    # and the mean trace of the covariances.
     means: np.ndarray
     start: np.ndarray  # (L + 1,) int64: the first node of each level
     edge: np.ndarray  # (L,) float64: length of the cells' edges
@@ -69,16 +70,16 @@ def build_captured_tree(splats: CapturedSplats) -> CapturedTree:
     first_child: list[np.ndarray] = []
     merged: list[_Merged] = []
     cells = np.empty(0, np.uint64)  # of the level below
-    for l in range(depth, -1, -1):
-        mine = level == l
+    for row in range(depth, -1, -1):
+        mine = level == row
         own.append(rows[mine])
-        shift = np.uint64(3 * (DEPTH - l))
+        shift = np.uint64(3 * (DEPTH - row))
         own_cells, child_cells = code[mine] >> shift, cells >> np.uint64(3)
         cells = _union(own_cells, child_cells)
         first_own.append(np.searchsorted(own_cells, _ends(cells)).astype(np.int32))
-        if l < depth:
+        if row < depth:
             first_child.append(np.searchsorted(child_cells, _ends(cells)).astype(np.int32))
-        below = (merged[-1], first_child[-1]) if l < depth else None
+        below = (merged[-1], first_child[-1]) if row < depth else None
         merged.append(_merge(splats, own[-1], first_own[-1], below))
     for levels in (own, first_own, first_child, merged):
         levels.reverse()
@@ -87,7 +88,15 @@ def build_captured_tree(splats: CapturedSplats) -> CapturedTree:
         np.stack([level.rows[0] * level.rows[13], *(level.rows[14:16] / level.rows[13])], axis=1) for level in merged
     ]
     return CapturedTree(
-        _nodes(merged, splats), np.concatenate(means).astype(np.float32), start, edge, tuple(first_child), tuple(first_own), tuple(own), always)
+        _nodes(merged, splats),
+        np.concatenate(means).astype(np.float32),
+        start,
+        edge,
+        tuple(first_child),
+        tuple(first_own),
+        tuple(own),
+        always,
+    )
 
 
 def _depth(code: np.ndarray) -> int:
@@ -224,7 +233,7 @@ def display_from_linear(c: np.ndarray) -> np.ndarray:
 
 
 def _merged(rows: np.ndarray, sh: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Merges rows (16, n), as `_rows` has them, and coefficients (n, H) between the `ends` (m + 1,): (16, m), (m, H)."""
+    """Merges rows (16, n), as `_rows` has them, and coefficients (n, H) between the `ends` (m + 1,)."""
     begin, count = ends[:-1], np.diff(ends)
     out = np.empty((len(rows), len(begin)))
     out[0] = np.add.reduceat(rows[0], begin)

@@ -80,7 +80,9 @@ class CapturedUploads:
         self._shown: list[_Shown] = []
         first = 0
         for row, group in groupby(prepared.captured, lambda instance: int(scene.instances.geometry[instance])):
-            for one in _shown(scope, store, scene.geometries[row], first, tuple(group), prepared.captured_nodes.get(row)):
+            for one in _shown(
+                scope, store, scene.geometries[row], first, tuple(group), prepared.captured_nodes.get(row)
+            ):
                 self._shown.append(one)
                 first += len(one.instances)
         self.sort_ms: float | None = None  # that finding and sorting what is seen took; None: nothing has changed

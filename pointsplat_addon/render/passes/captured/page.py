@@ -23,7 +23,7 @@ class CapturedPage:
 
     @releases_on_failure
     def __init__(self, device: Device, splats: CapturedSplats, means: np.ndarray | None = None) -> None:
-        """means: (N, 3) float32 of nodes, core.lod.captured.tree. DeviceError: there are more splats than textures hold."""
+        """means: (N, 3) float32, of nodes (core.lod.captured.tree). DeviceError: textures do not hold all splats."""
         self.count = len(splats)
         self.sh_texels = sh_texels(splats)
         self.sh_shift = sh_shift(device)

@@ -23,7 +23,9 @@ PROJECT = block(
 )
 
 
-def project_program(options: TranslucentOptions, sh_texels: int, sh_shift: int, antialiased: bool, nodes: bool = False) -> Interface:
+def project_program(
+    options: TranslucentOptions, sh_texels: int, sh_shift: int, antialiased: bool, nodes: bool = False
+) -> Interface:
     """Returns the program that projects the splats of one page. `sh_texels`, `sh_shift`: as of the page.
     `nodes`: they stand for many splats."""
     named = {"PS_ANTIALIASED": antialiased, "PS_AMONG_OPAQUE": options.opaque, "PS_HOLDOUT": options.holdout}
