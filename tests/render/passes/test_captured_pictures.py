@@ -164,3 +164,18 @@ def test_another_view_sorts_again_and_the_same_one_does_not():
     assert "order" in passes(first)
     assert "order" not in passes(first)
     assert "order" in passes(second)
+
+
+def test_the_same_view_again_shows_the_picture_of_before():
+    """Over another world, too, but not where something opaque stands among them."""
+    splats, eye, renderer = random_splats(500), CAMERAS["perspective"], drawing.opengl()
+    thing, seen = (captured("again", splats), moved()), reference.picture([(splats, moved())], eye)
+    quad = build.mesh(meshes.plane_mesh("quad between views", 0.8), "POLYGONS"), moved()
+    request = Request(eye, Settings(use_shadows=False), frozenset({"combined"}), 1)
+    for value, others, again in ((0.1, (), False), (0.9, (), True), (0.1, (quad,), False), (0.4, (), False)):
+        made = build.scene(thing, *others, lights=(), table=TABLE, world=World(np.full(3, value)))
+        result = renderer.render(made, request)
+        assert ("captured" not in {entry["name"] for entry in result.report["passes"]}) == again
+        if not others:
+            expected = seen[..., :3] + (1 - seen[..., 3:]) * value
+            assert reference.psnr(result.pixels["combined"][..., :3], expected) > 80  # measured 96

@@ -60,11 +60,13 @@ class CapturedOrder:
     key: tuple = ()  # what it depends on
     depth: np.ndarray = field(default_factory=lambda: np.empty(0, np.float32))  # (K,)
     texture: Texture | None = None  # the draw list
+    picture: Texture | None = None  # what they send to the eye, and what they hide, where nothing is among them
 
     def release(self) -> None:
-        if self.texture is not None:
-            self.texture.release()
-        self.texture = None
+        for texture in (self.texture, self.picture):
+            if texture is not None:
+                texture.release()
+        self.texture = self.picture = None
 
 
 class CapturedUploads:
@@ -92,6 +94,21 @@ class CapturedUploads:
     def most(self) -> int:
         """The most splats that a view of this frame shows; through a lens, each sample has a view of its own."""
         return sum(one.most for one in self._shown) if self._varies else self.count
+
+    @property
+    def keeps_picture(self) -> bool:
+        """Whether one picture of the splats alone is drawn, which the same view can show again."""
+        options = self._plan.translucent
+        assert options is not None
+        return options.alone and not (options.opaque or options.holdout or self._varies)
+
+    @property
+    def picture(self) -> Texture | None:
+        """That of an earlier frame with the same view, or of this one after `keep`."""
+        return self._order.picture if self.keeps_picture else None
+
+    def keep(self, picture: Texture) -> None:
+        self._order.picture = picture
 
     def upload_view(self, prepared: Prepared, camera: Camera, others: TranslucentUploads | None) -> None:
         """Finds and sorts what a view shows. `others`: translucent splats among which they are."""

@@ -86,6 +86,12 @@ ENLARGE = Interface(
     outputs=(("vec4", "out_color"),),
 )  # fmt: skip
 
+# The picture of captured splats alone, over what lies behind them.
+SHOW = Interface(
+    "translucent", fragment="captured/show.frag", samplers=(("FLOAT_2D", "ps_picture"),),
+    outputs=(("vec4", "out_color"),),
+)  # fmt: skip
+
 
 def add_program(options: TranslucentOptions) -> Interface:
     """Returns the program that adds one sample's picture to the sums."""
