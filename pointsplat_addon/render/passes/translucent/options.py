@@ -37,6 +37,11 @@ class TranslucentOptions:
         return self.captured and not self.tint
 
     @property
+    def open_apart(self) -> bool:
+        """Whether what is open is a layer that is blended apart from others: nothing opaque is looked up for it."""
+        return self.alone and self.grouped and not self.holdout
+
+    @property
     def tiled(self) -> bool:
         """Whether draws of all splats leave out those that touch no tile in which they are wanted."""
         return self.captured and self.grouped
