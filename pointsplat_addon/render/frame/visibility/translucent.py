@@ -153,7 +153,7 @@ class TranslucentLayers:
             self._texture(member_texels(lattice, members), "RGBA32F") as texels,
             self._texture(weight_rows(weights, members), "R32F") as rows,
         ):
-            if apart and (where := tiles & open_tiles(groups.layers, groups.covered, tiles.shape)).any():
+            if apart and (where := open_tiles(groups.layers, groups.covered, tiles)).any():
                 self._draw_layer(view, OPEN_LAYER, (texels, rows), shaded, where, pixels)
             for layer, where in enumerate(layers[: len(members)]):
                 if apart and not where.any():

@@ -25,7 +25,7 @@ from .options import TranslucentOptions
 
 NARROW = 1.0  # pixels: standard deviation of the narrower axis below which splats are looked at in all sub-samples
 FINEST_KERNEL = 3.0  # how many times as fine as the default kernel others may be
-OPEN_LAYER = -1
+OPEN_LAYER = -1  # what is open, where it is a layer apart: TranslucentOptions.open_apart
 NOWHERE = -1e30  # depth of pixels over which nothing is blended: shaders/lib/translucent/place.glsl
 EXPAND = block("Expand", CAMERA_FIELDS, LATTICE_FIELDS, (("int", "sub_samples"), ("int", "layer")))
 DIFFERENCE = block("Difference", (("int", "sub_samples"), ("int", "neighbours")))
@@ -135,12 +135,12 @@ def touched_tiles(
     return corners.reshape(rows, columns).cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0
 
 
-def open_tiles(layers: np.ndarray, covered: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Returns which tiles, of a grid of some shape, have pixels that are open in part, (rows, columns) bool.
+def open_tiles(layers: np.ndarray, covered: np.ndarray, tiles: np.ndarray) -> np.ndarray:
+    """Returns which of tiles (rows, columns) bool have pixels that are open in part.
 
     layers, covered: (H, W) int, of groups with and without what is open.
     """
-    return tiles_by_layer(layers - covered, np.ones(shape, bool))[0]
+    return tiles_by_layer(layers - covered, tiles)[0]
 
 
 def tiles_by_layer(layers: np.ndarray, tiles: np.ndarray) -> list[np.ndarray]:
