@@ -69,8 +69,8 @@ class LitSplats:
     ) -> None:
         """Blends the splats over `target`, of which a pixel spans `pixels` of the picture.
 
-        `depth`: of what is opaque, in pixels of the picture; None: nothing is looked up. `bounds`: in the picture, what lies outside of them is not
-        wanted. tiles: (rows, columns) bool, in which it is; read where options.tiled.
+        `depth`: of what is opaque, in pixels of the picture; None: nothing is looked up. `bounds`: in the picture, what
+        lies outside of them is not wanted. tiles: (rows, columns) bool, in which it is; read where options.tiled.
         """
         rectangle = (0.0, 0.0, *target.colors[0].size) if bounds is None else tuple(side / pixels for side in bounds)
         where = {"turn": (1 / pixels, 0.0), "origin": (0.0, 0.0), "place": 1 / pixels, "bounds": rectangle}
