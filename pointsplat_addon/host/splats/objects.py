@@ -88,7 +88,7 @@ class SplatObject:
 
 
 def _whole(vectors: np.ndarray) -> np.ndarray:
-    """Rows (N, 3) float32 as items (N,), which are copied at once: NumPy copies the columns of short rows one by one."""
+    """Rows (N, 3) float32 as items (N,), which are copied at once: NumPy copies short rows column by column."""
     return vectors.view(np.dtype((np.void, 12)))[:, 0]
 
 
