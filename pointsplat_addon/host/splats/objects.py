@@ -43,16 +43,17 @@ class SplatObject:
             return
         position, scale, rotation, base = (self._array(name) for name in ("position", SCALE, ROTATION, BASE))
         coefficients = 0 if splats.sh is None else splats.sh.shape[1]
-        harmonics = [self._array(HARMONICS.format(i)) for i in range(coefficients)]
+        harmonics = [_whole(self._array(HARMONICS.format(i))) for i in range(coefficients)]
+        given = None if splats.sh is None else _whole(splats.sh.reshape(-1, 3)).reshape(len(splats), coefficients)
 
         def write(block: slice) -> None:
             rows = slice(first + block.start, first + block.stop)
             position[rows], scale[rows] = splats.position[block], splats.scale[block]
             rotation[rows] = splats.rotation[block]
             base[rows, :3], base[rows, 3] = splats.base[block], splats.opacity[block]
-            if splats.sh is not None:
+            if given is not None:
                 for i, array in enumerate(harmonics):
-                    array[rows] = splats.sh[block, i]
+                    array[rows] = given[block, i]
 
         each_block(len(splats), write, BLOCK)
 
@@ -89,6 +90,11 @@ class SplatObject:
             bpy.data.objects.remove(self.object)
         blocks: Any = bpy.data.pointclouds if isinstance(self._data, bpy.types.PointCloud) else bpy.data.meshes
         blocks.remove(self._data)
+
+
+def _whole(vectors: np.ndarray) -> np.ndarray:
+    """Rows (N, 3) float32 as items (N,), which are copied at once: NumPy copies short rows column by column."""
+    return vectors.view(np.dtype((np.void, 12)))[:, 0]
 
 
 def _four_floats() -> str:

@@ -295,7 +295,10 @@ def _translucent(view: ViewToPlan, kinds: _Kinds) -> TranslucentOptions | None:
     holdout = bool(holdouts[layer.set_of_instance >= 0].any() or holdouts[list(captured)].any())
     grouped = view.sub_samples > 0 and not view.defocus
     opaque = kinds.solid or grouped
-    return translucent_options(clouds, view.scene.materials, opaque, holdout, view.defocus, grouped, bool(captured))
+    return translucent_options(
+        clouds, view.scene.materials, opaque, holdout, view.defocus, grouped, bool(captured),
+        bool(view.prepared.captured_nodes),
+    )  # fmt: skip
 
 
 def _coarse_translucent(view: ViewToPlan, translucent: TranslucentOptions | None) -> bool:

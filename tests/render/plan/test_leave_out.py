@@ -94,6 +94,7 @@ EXPECTED = {
     "visibility buffer, a cube in held out smoke": "order polygons background " + GROUPED + LAYERS,
     "visibility buffer, smoke alone": "order background " + BLENDED,
     "captured splats": "order captured background translucent add",
+    "captured splats from far away": "order captured background translucent add",
     "captured splats in smoke": "order captured background " + BLENDED,
     "visibility buffer, captured splats, smoke and a cube": "order captured polygons background " + GROUPED + LAYERS,
     "visibility buffer, points and polygons, out of focus, depth": "cover polygons data light tiles defocus " + GROUPED,
