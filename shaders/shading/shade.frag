@@ -100,7 +100,7 @@ void main()
   surface.metallic = tint.w;
 #endif
 #ifdef PS_SPREAD
-  surface.spread = centre.w <= PS_POLYGON ? centre.y : 0.0;
+  surface.spread = centre.w <= PS_POLYGON ? max(centre.y, 0.0) : 0.0;
 #endif
 #ifdef PS_EMISSION
   surface.emission = texelFetch(ps_emission, pixel, 0).rgb;
