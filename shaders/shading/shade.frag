@@ -61,6 +61,7 @@ void main()
   bool balls = centre.z <= PS_BALL;
   ps_footprint.above = balls ? PS_MAP_BIAS_OF_BALLS : PS_MAP_BIAS;
   ps_footprint.rise = balls ? (PS_BALL - centre.z) * ps_pixel_size(centre.x) : 0.0;
+  ps_footprint.rise = ps_footprint.keyed ? ps_footprint.rise : PS_MAP_RISE_OF_STRANDS * ps_pixel_size(centre.x);
 #endif
 #ifdef PS_NORMAL
   vec4 bent = texelFetch(ps_normal, pixel, 0);
