@@ -20,7 +20,7 @@ from .light_points import cell_points, grid_shifts, light_shape, views_of_light
 from .map_views import CastingBoxes, LightViews, MapView, angular_reach, light_views, placed
 
 MOST_PRIMITIVES = 1 << 25  # of all instances of a geometry that maps draw: where there are more, nodes cast into tables
-WIDEST_STRAND = 1 / 32  # of the radius of the ball around an instance
+WIDEST_STRAND = 1 / 32  # of the radius of the ball around an instance, on average
 WIDEST_TEXTURE = 8192  # texels
 HEAD_TEXELS, VIEW_TEXELS = 4, 2  # of a light's record, and of each of its views
 SHAPE_TEXELS = 8  # after them: of a light with a size
@@ -146,7 +146,9 @@ def casts_as_strands(caster: CastingGeometry) -> bool:
     """Tells whether maps of lights without size show a caster: strands, but for those as wide as ropes, which tables
     show as well in less time."""
     strands = caster.geometry.strands
-    if strands is None or float(strands.radius.max(initial=0.0)) > WIDEST_STRAND * float(caster.radius.max(initial=0.0)):
+    if strands is None or not len(strands.radius):
+        return False
+    if float(strands.radius.mean(dtype=np.float64)) > WIDEST_STRAND * float(caster.radius.max(initial=0.0)):
         return False
     primitives = _primitives(caster.geometry)
     return 0 < primitives * len(caster.matrices) <= MOST_PRIMITIVES and bool(

@@ -96,8 +96,9 @@ def make_shadows(
         return None, "there is nothing in the shadow of anything"
     lights = sorted_by_kind(scene.lights)
     solid = [casts_into_map(scene, caster) for caster in casters]
-    hard_light = any(light.shadow and takes_panes(light) for light in lights)
-    fibres = [hard_light and casts_as_strands(caster) for caster in casters]
+    # Where sub-samples are not looked at one by one, single texels are noisier than tables.
+    fine = settings.technique == "VISIBILITY" and any(light.shadow and takes_panes(light) for light in lights)
+    fibres = [fine and casts_as_strands(caster) for caster in casters]
     drawn = [one or other for one, other in zip(solid, fibres, strict=True)]
     shown = [caster for caster, one, floor in zip(casters, drawn, floors, strict=True) if one and not floor]
     maps = make_maps(scene, lights, shown, settings.shadow_resolution, store, texture_size)

@@ -20,7 +20,13 @@ TO_EYE = np.array([0.0, -1.0, 0.0])
 
 
 def drawn(
-    mesh: Mesh, roughness: float, specular: float, base: float, width: float, sun: Light, beside: Sequence[Geometry] = ()
+    mesh: Mesh,
+    roughness: float,
+    specular: float,
+    base: float,
+    width: float,
+    sun: Light,
+    beside: Sequence[Geometry] = (),
 ) -> np.ndarray:
     """(SIDE, SIDE) of a mesh seen along +Y, SIDE pixels for a width in units, before a transparent film. `beside`: what
     else is drawn."""
