@@ -33,7 +33,7 @@ def grid(width: float, height: float = 1.0) -> Geometry:
 def lit(light: Light, *things: tuple[Geometry, np.ndarray], shadows: bool = True) -> tuple[np.ndarray, dict]:
     """(H, W) radiance of what a camera under the strands sees of the floor, or from above of strands; the report."""
     eye = cameras.camera((0, -1.2, 0.6), target=(0, 0, 0), resolution=(96, 72), near=0.05)
-    case = Case(build.scene(*things, lights=[light], world=BLACK), eye, Settings(technique="VISIBILITY"))
+    case = Case(build.scene(*things, lights=[light], world=BLACK), eye, Settings())
     result = render(replace(case, settings=replace(case.settings, use_shadows=shadows)), COMBINED, 16)
     return result.pixels["combined"][..., 0].astype(float), result.report
 
