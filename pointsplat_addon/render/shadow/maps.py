@@ -148,7 +148,9 @@ def casts_as_strands(caster: CastingGeometry) -> bool:
     strands = caster.geometry.strands
     if strands is None or not len(strands.radius):
         return False
-    if float(strands.radius.mean(dtype=np.float64)) > WIDEST_STRAND * float(caster.radius.max(initial=0.0)):
+    scale = np.maximum(largest_singular_value(caster.matrices[:, :3, :3]), 1e-30)
+    reach = float((caster.radius / scale).max(initial=0.0))  # in object space, as radii are
+    if float(strands.radius.mean(dtype=np.float64)) > WIDEST_STRAND * reach:
         return False
     primitives = _primitives(caster.geometry)
     return 0 < primitives * len(caster.matrices) <= MOST_PRIMITIVES and bool(
