@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from ....core.lod.cut import cut_of_all_points
-from ....core.scene.camera import Camera
 from ....core.numeric.lattice import Lattice
 from ....core.numeric.linear import are_similarities
 from ....core.scene.bounds import box_corners
+from ....core.scene.camera import Camera
 from ....core.scene.scene import Instances, Scene
 from ....core.strand.segments import Segments, concatenate_segments
 from ....core.strand.selection import select
