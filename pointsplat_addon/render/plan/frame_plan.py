@@ -179,7 +179,8 @@ def make_frame_plan(
         scene, prepared, with_filter_margin(camera, neighbourhood(request.settings)), store
     )
     scene, reflects, negligible = without_negligible(scene, prepared, camera.view_from_world, store)
-    shadows, unshadowed = _shadows(scene, prepared, request, store, clock, limits)
+    settings = replace(request.settings, technique=technique.name)
+    shadows, unshadowed = _shadows(scene, prepared, replace(request, settings=settings), store, clock, limits)
     painter = technique.name == "PAINTER" and prepared.cut.splats > 0
     if painter:
         prepared = with_opaque_among_translucent(
