@@ -188,7 +188,7 @@ def _source_key(source: Source, rows: tuple[int, ...], table: MaterialTable) -> 
     """
     digests = tuple(graph.digest if (graph := _graph(table, row)) else "" for row in rows)
     settings = source.primitive, source.spacing, source.extinction, source.shape
-    settings = *settings, source.pixel_radius, source.filters, source.clip, source.antialiased
+    settings = *settings, source.pixel_radius, source.filters, source.clip, source.antialiased, source.motion
     key = (source.data.session_uid, rows, digests, *settings)
     if source.smoke:
         key = (*key, source.smoke.key)
@@ -231,7 +231,7 @@ def _read_points(
 ) -> tuple[str, PointCloud | None, tuple[str, ...]]:
     """(content key, cloud, messages) of the points of a point cloud that its filters and clip boxes keep."""
     rows, messages = kept_points(data, source.filters) if source.filters else (None, ())
-    key, cloud = read_pointcloud(data, material, lookup, source.shape, rows) or ("", None)
+    key, cloud = read_pointcloud(data, material, lookup, source.shape, rows, source.motion) or ("", None)
     if source.clip is not None and cloud is not None:
         key, cloud = clipped(key, cloud, source.clip, lookup)
         messages += source.clip.messages
@@ -252,7 +252,7 @@ def _read_evaluated(
 
     def read(data: bpy.types.Mesh) -> mesh_module.Mesh | tuple[str, PointCloud] | None:
         if is_loose_vertices(data):
-            return read_pointcloud(data, material, lookup, source.shape)
+            return read_pointcloud(data, material, lookup, source.shape, motion=source.motion)
         return read_mesh(data, source.name, rows, wanted, lookup)
 
     if source.editing is None:

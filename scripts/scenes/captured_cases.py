@@ -54,6 +54,23 @@ def one_splat(
     return CapturedSplats(position, scales, turn, base, np.array([opacity], np.float32), **more)
 
 
+def captured_sphere(count: int, **more) -> CapturedSplats:
+    """Disks of many sizes on the unit sphere, as training leaves them: neighbours have colours that are alike."""
+    rng = np.random.default_rng(4)
+    normal = rng.normal(size=(count, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    # A half turn about the axis half-way between z and the normal.
+    half = normal + np.array([0, 0, 1.0001])
+    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    rotation = np.column_stack([np.zeros(count), half])
+    scale = 0.006 * np.exp(rng.normal(0, 0.5, (count, 3))) * (1, 1, 0.1)
+    base = 0.8 * np.sin(5 * normal) + rng.normal(0, 0.2, (count, 3))
+    sh = rng.normal(0, 0.05, (count, 3, 3))
+    given = (normal, scale, rotation, base, rng.uniform(0.2, 1, count), sh)
+    position, scale, rotation, base, opacity, sh = (array.astype(np.float32) for array in given)
+    return CapturedSplats(position, scale, rotation, base, opacity, sh, **more)
+
+
 def captured_alone() -> Case:
     """A cloud of splats twice, once sheared and mirrored."""
     splats = captured("captured twice", random_splats(600, size=0.08))
@@ -83,5 +100,16 @@ def captured_in_smoke() -> Case:
             world=World(np.array([0.1, 0.2, 0.3])),
         ),
         camera(),
+        Settings(use_shadows=False),
+    )
+
+
+def captured_far() -> Case:
+    """Three spheres of many splats that are seen from so far away that nodes stand for them."""
+    splats = captured("captured far", captured_sphere(40_000))
+    eye = camera((0, -40, 0))
+    return Case(
+        scene((splats, moved()), (splats, moved((3, 0, 0))), (splats, moved((-3, 0, 0))), lights=()),
+        eye,
         Settings(use_shadows=False),
     )

@@ -213,6 +213,26 @@ def moving() -> Case:
     )
 
 
+def flowing() -> Case:
+    """Points that move within objects which move, too: disks, balls, and disks that stand still."""
+    square = plane_cloud(12, 0.5)
+    assert square.radii is not None
+    still = scene(
+        (points("flowing disks", with_velocity(square, (0.1, 0.2, -0.15))), moved((-1.2, 0, 0), (1, 1, 1.4))),
+        (points("resting disks", square), moved()),
+        (points("flowing balls", with_velocity(replace(square, normal=None), (-0.3, 0, 0.1))), moved((1.2, 0, 0))),
+    )
+    case = moving()
+    before = still.instances.world_from_object.copy()
+    before[0, :3, 3] += 0.05, 0.1, 0.2
+    return replace(case, scene=replace(still, instances=replace(still.instances, previous=before)))
+
+
+def with_velocity(cloud: PointCloud, velocity: tuple[float, float, float]) -> PointCloud:
+    """The cloud whose points all move so far in a frame, in object units."""
+    return replace(cloud, velocity=np.tile(np.array(velocity, np.float32), (len(cloud), 1)))
+
+
 def culled() -> Case:
     """Half a sphere of each kind, whose material hides back faces, seen from behind."""
     cloud = sphere_cloud(400)

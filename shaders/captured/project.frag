@@ -8,6 +8,7 @@
 #include "lib/captured/harmonics.glsl"
 #include "lib/captured/kind.glsl"
 
+#define PS_UNCUT 0.25  // opacity of splats that are antialiased: they do not end where they are too faint one by one
 #define PS_WIDEST 1e6  // pixels: half-axes of what is wider are as wide, which pictures cannot show
 
 vec3 ps_linear_from_display(vec3 c)
@@ -66,8 +67,25 @@ void main()
   float before = dot(areas, areas), det = before + PS_LOW_PASS * (own.x + own.z + PS_LOW_PASS);
   vec3 wide = own + vec3(PS_LOW_PASS, 0.0, PS_LOW_PASS);
   float opacity = head.w;
+#ifdef PS_NODES
+  // As much is hidden as by the splats for which the node stands, each of which the low-pass widens: the roots of their
+  // determinants are those of the mean splat, which is as wide from all sides.
+  vec3 means = texelFetch(ps_means, at, 0).xyz;
+  float hides = opacity * sqrt(before);
+#ifdef PS_ANTIALIASED
+  float kind = PS_NODE_KIND + PS_UNCUT;
+  opacity = hides / sqrt(det);
+#else
+  float area = hides / means.x, trace = means.z * pow(abs(determinant(linear)), 0.6666667) * abs(focal.x * focal.y) / 1.5;
+  float widened = sqrt(area * area + PS_LOW_PASS * (trace + PS_LOW_PASS));
+  float kind = PS_NODE_KIND + max(means.y, 2.0 * PS_LEAST_ALPHA);
+  opacity = means.x * widened / sqrt(det);
+#endif
+#else
 #ifdef PS_ANTIALIASED
   opacity *= sqrt(before / det);
+#endif
+  const float kind = PS_CAPTURED_KIND;
 #endif
 
   vec3 direction = ps_is_perspective() ? head.xyz - more.xyz : more.xyz;
@@ -76,10 +94,10 @@ void main()
   bool seen = d > u.near && d < u.far && opacity >= PS_LEAST_ALPHA && det < 1e30;
   out_centre = seen ? vec4(u.focal * p.xy * over, d, opacity) : vec4(0.0);
   out_shape = seen ? vec4(wide, det) : vec4(1.0, 0.0, 1.0, 1.0);
-  out_source = vec4(ps_finite(ps_linear_from_display(display)), PS_CAPTURED_KIND);
+  out_source = vec4(ps_finite(ps_linear_from_display(display)), kind);
 #ifdef PS_HOLDOUT
   if (more.w > 0.5) {
-    out_source = vec4(0.0, 0.0, 0.0, -1.0 - PS_CAPTURED_KIND);
+    out_source = vec4(0.0, 0.0, 0.0, -1.0 - kind);
   }
 #endif
 #ifdef PS_AMONG_OPAQUE

@@ -78,6 +78,9 @@ void main()
 #ifdef PS_EMISSION
   out_emission = w * v_emission;
 #endif
+#ifdef PS_VELOCITY
+  out_velocity = w * v_velocity;
+#endif
 #else
   if (!(q <= v_conic.w && depth > u.near && depth < u.far)) {
     discard;

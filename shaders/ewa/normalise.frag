@@ -60,6 +60,9 @@ void main()
 #ifdef PS_EMISSION
   s.emission = scale * texelFetch(ps_sum_emission, pixel, 0);
 #endif
+#ifdef PS_VELOCITY
+  s.velocity = scale * texelFetch(ps_sum_velocity, pixel, 0).xyz;
+#endif
 #ifdef PS_OWNER
   s.owner = covers ? uint(nearest.w) >> 1 : 0xFFFFFFFFu;
 #endif

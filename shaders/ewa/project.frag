@@ -83,4 +83,7 @@ void main()
 #ifdef PS_EMISSION
   out_emission = s.emission;
 #endif
+#ifdef PS_VELOCITY
+  out_velocity = vec4(s.velocity, 0.0);
+#endif
 }

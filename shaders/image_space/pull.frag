@@ -51,7 +51,11 @@ void main()
 #ifdef PS_EMISSION
         s.emission += texelFetch(ps_emission, child, 0);
 #endif
-#ifdef PS_OWNER
+#if defined(PS_VELOCITY)
+        vec4 moving = texelFetch(ps_owner, child, 0);
+        s.owner = best ? uint(int(moving.x)) : s.owner;
+        s.velocity = best ? moving.yzw : s.velocity;
+#elif defined(PS_OWNER)
         s.owner = best ? texelFetch(ps_owner, child, 0).x : s.owner;
 #endif
       }

@@ -133,7 +133,11 @@ void main()
 #ifdef PS_EMISSION
       s.emission += w * texelFetch(ps_coarse_emission, at[i], 0);
 #endif
-#ifdef PS_OWNER
+#if defined(PS_VELOCITY)
+      vec4 moving = texelFetch(ps_coarse_owner, at[i], 0);
+      s.owner = heaviest ? uint(int(moving.x)) : s.owner;
+      s.velocity = heaviest ? moving.yzw : s.velocity;
+#elif defined(PS_OWNER)
       s.owner = heaviest ? texelFetch(ps_coarse_owner, at[i], 0).x : s.owner;
 #endif
     }

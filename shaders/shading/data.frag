@@ -31,7 +31,11 @@ void main()
 #ifdef PS_OUT_VECTOR
   out_vector = vec4(0.0);
   if (there) {
+#ifdef PS_VELOCITY
+    vec4 q = vec4(position - texelFetch(ps_owner, pixel, 0).yzw, 1.0);
+#else
     vec4 q = vec4(position, 1.0);
+#endif
     vec4 rows[4];
     for (int i = 0; i < 4; i++) {
       int t = owner * 4 + i;

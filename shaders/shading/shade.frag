@@ -61,6 +61,7 @@ void main()
   bool balls = centre.z <= PS_BALL;
   ps_footprint.above = balls ? PS_MAP_BIAS_OF_BALLS : PS_MAP_BIAS;
   ps_footprint.rise = balls ? (PS_BALL - centre.z) * ps_pixel_size(centre.x) : 0.0;
+  ps_footprint.rise = ps_footprint.keyed ? ps_footprint.rise : PS_MAP_RISE_OF_STRANDS * ps_pixel_size(centre.x);
 #endif
 #ifdef PS_NORMAL
   vec4 bent = texelFetch(ps_normal, pixel, 0);
@@ -100,7 +101,7 @@ void main()
   surface.metallic = tint.w;
 #endif
 #ifdef PS_SPREAD
-  surface.spread = centre.w <= PS_POLYGON ? centre.y : 0.0;
+  surface.spread = centre.w <= PS_POLYGON ? max(centre.y, 0.0) : 0.0;
 #endif
 #ifdef PS_EMISSION
   surface.emission = texelFetch(ps_emission, pixel, 0).rgb;

@@ -1,5 +1,6 @@
 // Which segment each sub-sample shows. A strip that is wider than its strand covers a share of its cells: those whose rank, a
 // multiple of the golden ratio for each column or row and another beginning for each strand, is below the share.
+// PS_DEPTH_ONLY: only how far away it is.
 
 #include "lib/strands/segment.glsl"
 #include "lib/visibility/lattice.glsl"
@@ -14,9 +15,14 @@ void main()
   PsTube tube = PsTube(v_from, v_to, v_begin, v_end);
   PsHit hit = ps_meet_tube(ps_pixel_from_cell(gl_FragCoord.xy), tube);
   float d = hit.d;
+#ifdef PS_DEPTH_ONLY
+  // Where the ray leaves it: a strand that is shaded as a whole does not shade itself.
+  d = max(2.0 * mix(-v_from.z, -v_to.z, clamp(hit.along, 0.0, 1.0)) - d, d);
+#endif
   if (!(d >= u.near && d <= u.far)) {
     discard;
   }
+#ifndef PS_DEPTH_ONLY
   PsSegment segment = PsSegment(ps_texel(int(v_segment.x)), ps_texel(int(v_segment.y)), int(v_segment.z), v_segment.w,
                                 vec4(0.0));
 #ifdef PS_NORMAL
@@ -24,6 +30,7 @@ void main()
   out_key = ps_surface_key(segment.instance, int(segment.material), normal.xyz) | (normal.w > 0.5 ? PS_FIBRE_KEY : 0u);
 #else
   out_key = ps_surface_key(segment.instance, int(segment.material), vec3(0.0, 0.0, 1.0));
+#endif
 #endif
 #else
   ivec2 cell = ivec2(gl_FragCoord.xy) + u.cell_offset;
@@ -39,9 +46,13 @@ void main()
     discard;
   }
   float d = -v_position.z;
+#ifndef PS_DEPTH_ONLY
   out_key = v_key;
 #endif
+#endif
+#ifndef PS_DEPTH_ONLY
   out_id = v_id;
+#endif
   out_depth = floatBitsToUint(max(d - u.near, 0.0));
   gl_FragDepth = ps_buffer_depth(d);
 }

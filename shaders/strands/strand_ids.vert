@@ -1,6 +1,6 @@
 // Segments of strands into the cells of sub-samples. PS_TUBE: rectangles around what two balls and all between them fill.
 // PS_THIN: raster lines. Else two triangles each: PS_RIBBON, or strips that face the eye in place of tubes that are too narrow
-// to be seen round.
+// to be seen round. PS_DEPTH_ONLY: which segment it is does not matter.
 
 #include "lib/strands/segment.glsl"
 #include "lib/strands/covered_strip.glsl"
@@ -40,7 +40,9 @@ void main()
 #endif
   ivec2 at = ivec2(texelFetch(ps_segment_list, ps_texel(entry), 0).xy);
   PsSegment segment = ps_segment(at);
+#ifndef PS_DEPTH_ONLY
   v_id = PS_RASTERISED | uint(u.first_id + entry);
+#endif
 #ifdef PS_TUBE
   PsTube tube = ps_tube(segment);
   v_from = tube.from;
@@ -48,11 +50,15 @@ void main()
   v_begin = tube.begin;
   v_end = tube.end;
   gl_Position = ps_cell_clip(ps_tube_corner(tube, corner));
+#ifndef PS_DEPTH_ONLY
   v_segment = texelFetch(ps_segments, at, 0);
+#endif
 #else
+#ifndef PS_DEPTH_ONLY
   v_key = ps_surface_key(segment.instance, int(segment.material), ps_strip_direction(segment));
 #if defined(PS_NORMAL) && !defined(PS_RIBBON)
   v_key |= PS_FIBRE_KEY;
+#endif
 #endif
   v_phase = ps_hash(floatBitsToUint(segment.rest.z)) + u.turn;
 #ifdef PS_THIN
@@ -64,6 +70,15 @@ void main()
   PsCovered found = ps_covered(segment, strip, corner);
 #endif
   v_position = found.position;
+#if defined(PS_DEPTH_ONLY) && !defined(PS_RIBBON)
+  // The side that light leaves: a strand that is shaded as a whole does not shade itself.
+#ifdef PS_THIN
+  bool second = corner == 1;
+#else
+  bool second = corner == 1 || corner == 2 || corner == 4;
+#endif
+  v_position.z -= ps_instance_row(segment.instance, 3).y * texelFetch(ps_point, second ? segment.to : segment.from, 0).w;
+#endif
   v_extent = found.extent;
   v_rows = found.rows ? 1 : 0;
 #ifdef PS_THIN

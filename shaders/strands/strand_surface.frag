@@ -94,7 +94,7 @@ void main()
 #endif
 #endif
 #ifdef PS_NORMAL
-  s.centre.z = s.centre.y > 0.0 ? -texelFetch(ps_tangent, segment.from, 0).w / PS_STRAND_NUMBERS : 0.0;
+  s.centre.z = ps_is_strand(s.centre) ? -texelFetch(ps_tangent, segment.from, 0).w / PS_STRAND_NUMBERS : 0.0;
 #endif
   ps_strand_attributes(s, segment, along);
 #if defined(PS_AVERAGE) || defined(PS_AVERAGE_TANGENT)

@@ -25,6 +25,13 @@ void main()
   vec2 apart = vec2(v.x * v_conic.x, (v.y - v_conic.y * v.x) * v_conic.z);
   float alpha = v_source.w * exp(-0.5 * dot(apart, apart));
 #endif
+#ifdef PS_NODES
+  // As many splats as their opacities sum up to, at one place: each hides its share of what the others leave.
+  if (ps_is_node(v_conic.w)) {
+    float each = ps_node_opacity(v_conic.w), one = alpha * each / v_source.w;
+    alpha = one >= PS_LEAST_ALPHA ? 1.0 - pow(1.0 - min(one, PS_MOST_ALPHA), v_source.w / each) : 0.0;
+  }
+#endif
 #ifdef PS_CAPTURED_ALONE
   bool outside = !(alpha >= PS_LEAST_ALPHA);
 #else

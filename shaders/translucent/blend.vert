@@ -39,7 +39,11 @@ void main()
   vec4 front = texelFetch(ps_front, at, 0);
   v_front = vec4(centre.z, 1.0 / front.x, front.yz);
 #endif
-  float rim = sqrt(max(2.0 * log(centre.w / PS_LEAST_ALPHA), 0.0));
+  float faintest = centre.w / PS_LEAST_ALPHA;
+#ifdef PS_NODES
+  faintest = ps_is_node(source.w) ? ps_node_opacity(source.w) / PS_LEAST_ALPHA : faintest;
+#endif
+  float rim = sqrt(max(2.0 * log(faintest), 0.0));
   vec2 side = rim * (corner == 0 ? vec2(0.0, 2.0) : vec2(corner == 1 ? -1.7320508 : 1.7320508, -1.0));
   vec2 pixel = v_centre + vec2(x * side.x, lean * x * side.x + y * side.y);
 #ifdef PS_TILED
@@ -85,7 +89,11 @@ void main()
     det = shape.w;
     v_conic = vec4(inversesqrt(c.x), c.y / c.x, sqrt(c.x / det), source.w);
     v_source.w = centre.w;
-    rim = sqrt(max(2.0 * log(centre.w / PS_LEAST_ALPHA), 0.0));
+    float faintest = centre.w / PS_LEAST_ALPHA;
+#ifdef PS_NODES
+    faintest = ps_is_node(source.w) ? ps_node_opacity(source.w) / PS_LEAST_ALPHA : faintest;
+#endif
+    rim = sqrt(max(2.0 * log(faintest), 0.0));
   }
 #endif
 #ifdef PS_AMONG_OPAQUE

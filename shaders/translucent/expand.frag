@@ -2,7 +2,8 @@
 // changes. Layers are groups, in the order in which these sub-samples meet them; what is open is one, too. out_place: the
 // layer's depth, and its group. Texels of ps_members: which sub-samples, and the cells where they lie. PS_BEHIND: what open
 // sub-samples show. PS_PLACES: groups are not listed in the order of their pixels. PS_EMPTY:
-// blending begins with nothing, and what is opaque is told elsewhere.
+// blending begins with nothing, and what is opaque is told elsewhere. PS_APART: what is open is none of these layers, but
+// the layer -1.
 
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/groups.glsl"
@@ -18,11 +19,20 @@ void main()
   for (int i = 0; i < count && layer < u.layer; i++) {
     vec4 member = texelFetch(ps_members, ivec2(i, 0), 0);
     group = ps_group(codes, int(member.x));
+#ifdef PS_APART
+    layer += group == PS_NO_GROUP || (seen & (1u << group)) != 0u ? 0 : 1;
+#else
     layer += (seen & (1u << group)) == 0u ? 1 : 0;
+#endif
     seen |= 1u << group;
     cell = ivec2(member.yz);
   }
+#ifdef PS_APART
+  bool open = u.layer < 0, there = open ? (codes.y & PS_OPEN) != 0u : layer == u.layer;
+  group = open ? PS_NO_GROUP : group;
+#else
   bool there = layer == u.layer, open = group == PS_NO_GROUP;
+#endif
   uint bits = texelFetch(ps_depths, ps_central_cell(pixel) + cell, 0).x;
   float depth = open ? PS_BEHIND_ALL : uintBitsToFloat(bits) + u.near;
   out_place = there ? vec4(depth, float(group), 0.0, 0.0) : vec4(PS_NOWHERE, -1.0, 0.0, 0.0);

@@ -1,5 +1,7 @@
 """Scans imported by the operator: objects, attributes, where they lie on the map, looks, and what is refused."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,8 +11,9 @@ import pointsplat_addon
 from pointsplat_addon.formats.points.gather import Selection
 from pointsplat_addon.host.scans import looks
 from pointsplat_addon.host.scans.importing import import_scan
+from pointsplat_addon.host.ui.views import reach
 from tests.support.blender.scenes import pointcloud, sync
-from tests.support.scan_files import write_ply
+from tests.support.scan_files import write_ept, write_ply
 
 FAR = np.array([5_000_123.0, 400_456.0, 100.0])
 
@@ -56,6 +59,33 @@ def test_a_scan_becomes_a_point_cloud_with_its_attributes(tmp_path):
     radius = np.array([item.value for item in ob.data.attributes["radius"].data])
     assert radius[0] > 0
     assert (radius == radius[0]).all()
+
+
+def test_octrees_are_called_as_their_folder(tmp_path):
+    (tmp_path / "Église").mkdir()
+    write_ept(tmp_path / "Église", {"0-0-0-0": np.arange(30).reshape(10, 3)}, "binary")
+    bpy.ops.pointsplat.import_points(filepath=str(tmp_path / "Église" / "ept.json"))
+    assert bpy.context.object.name == "Église"
+
+
+def test_views_reach_as_far_as_what_is_imported(tmp_path):
+    class Space:
+        type = "VIEW_3D"
+
+        def __init__(self, clip_end):
+            self.clip_end = clip_end
+
+    near, far, other = Space(1000.0), Space(1e6), Space(5.0)
+    other.type = "OUTLINER"
+    area = SimpleNamespace(spaces=[near, far, other])
+    window = SimpleNamespace(screen=SimpleNamespace(areas=[area]))
+    context = SimpleNamespace(window_manager=SimpleNamespace(windows=[window]))
+    ob = pointcloud("far", [[0.0, 0.0, 0.0], [3000.0, 4000.0, 0.0]], radius=("FLOAT", "value", [0.0, 0.0]))
+    reach(context, [ob])
+    assert near.clip_end == pytest.approx(4 * 5000)
+    assert (far.clip_end, other.clip_end) == (1e6, 5.0)
+    reach(context, [])
+    assert near.clip_end == pytest.approx(4 * 5000)
 
 
 def test_map_coordinates_come_back_to_a_millimetre(tmp_path):

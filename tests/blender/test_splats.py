@@ -64,6 +64,17 @@ def test_splats_have_the_attributes_of_blender_5_3(tmp_path):
     assert "pointsplat_antialiased" not in ob
 
 
+def test_blender_knows_the_bounds(tmp_path):
+    """Frame Selected asks them; Blender 4.5 adds no default radius."""
+    given = splat_file(tmp_path / "a.ply")
+    found = np.array(imported(tmp_path / "a.ply").bound_box)
+    low, high = given.position.min(axis=0), given.position.max(axis=0)
+    for of_box, of_points, outwards in ((found.min(axis=0), low, -1), (found.max(axis=0), high, 1)):
+        beyond = outwards * (of_box - of_points)
+        assert beyond.min() > -1e-6  # measured -2e-8
+        assert beyond.max() < 0.01 + 1e-6
+
+
 def test_the_object_is_turned_so_that_up_is_up(tmp_path):
     splat_file(tmp_path / "a.ply")
     up = {"AUTO": (0, -1, 0), "RDF": (0, -1, 0), "RUB": (0, 1, 0), "RFU": (0, 0, 1)}

@@ -1,7 +1,7 @@
 """A file in the Rendered viewport: as its camera sees it, in motion and at rest, and how fast it is drawn."""
 
-import importlib
 import math
+import sys
 import time
 
 import bpy
@@ -13,11 +13,16 @@ PATIENCE = 180.0  # seconds for a view that stands still to be complete
 ALIKE = 0.02  # of what is covered, and of its brightness: by how much a moving view may differ from one at rest
 
 
+def module(name):
+    """A module of the add-on, which has another place where it is installed as an extension."""
+    return next(found for at, found in sys.modules.items() if at.endswith(f"pointsplat_addon.{name}"))
+
+
 class Meter:
     """Watches the viewport draw: what each picture took, and what it showed."""
 
     def __init__(self):
-        self._viewport = importlib.import_module("pointsplat_addon.host.viewport").Viewport
+        self._viewport = module("host.viewport").Viewport
         self._draw = self._viewport._draw
         self._before = None
         self.pictures = []  # of a view that moves: seconds by the clock, of the processor, and pixels' width
@@ -88,7 +93,7 @@ def orbit_file(folder, path, full):
     bpy.context.scene.render.engine = "POINTSPLAT"
     bpy.context.preferences.view.smooth_view = 0
     if full:
-        importlib.import_module("pointsplat_addon.render.budget.viewport").COARSEST_PIXELS = 1
+        module("render.budget.viewport").COARSEST_PIXELS = 1
         window, area, region, _ = viewport()
         with bpy.context.temp_override(window=window, area=area, region=region):
             bpy.ops.screen.screen_full_area(use_hide_panels=True)

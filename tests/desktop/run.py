@@ -1,13 +1,15 @@
 """Drive the add-on inside a desktop Blender with a window; the exit status tells whether all went well.
 
     blender --factory-startup --python tests/desktop/run.py [-- --zip dist/pointsplat-0.1.0.zip] [--output out/desktop]
-        [--scene FILE.blend [--full]] [--parts orbit views ...] [--limit SECONDS]
+        [--scene FILE.blend [--full]] [--data FOLDER [--only TEXT]] [--guide FILE.laz] [--parts orbit views ...]
+        [--limit SECONDS]
 
 Facts decide the exit status; times are printed as figures, because they are the machine's.
 Without --zip the checkout is registered as it lies. With --scene, a file is orbited in the Rendered viewport, and that
-is all (`python -m scripts.demos.translucent --scene outdoor` makes one that mixes everything). Pictures of the window
-go to the output folder. Under X11, xdotool presses Esc and ImageMagick takes the pictures; without xdotool, Esc is left
-out, and said so.
+is all (`python -m scripts.demos.translucent --scene outdoor` makes one that mixes everything). With --data, files of
+every format in points/ and splat/ of a folder are imported, drawn and undone, and that is all. Pictures of the window
+go to the output folder. Under X11, xdotool presses keys and ImageMagick takes the pictures; without xdotool, keys are
+left out, and said so.
 """
 
 import argparse
@@ -26,6 +28,8 @@ import bpy
 from mathutils import Euler, Quaternion
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender runs this file alone
+from files import files
+from guide import guide
 from handling import handling
 from orbit import Meter, orbit_file, rest
 from window import check, difference, problems, save_picture, say, shoot, viewport
@@ -43,6 +47,9 @@ def arguments():
     parser.add_argument("--scene", type=Path, help="orbit this file instead of telling the whole story")
     parser.add_argument("--full", action="store_true", help="--scene fills the window, with pixels as at rest")
     parser.add_argument("--parts", nargs="+", help="tell only these parts of the story")
+    parser.add_argument("--data", type=Path, help="a folder of scans and captures: import these, and that is all")
+    parser.add_argument("--only", default="", help="of --data: files whose path has this in it")
+    parser.add_argument("--guide", type=Path, help="a .laz file: take the guide's pictures of it, and that is all")
     parser.add_argument("--limit", type=float, default=600, help="seconds until a hang is taken for one")
     parser.add_argument("--output", type=Path, default=ROOT / "out" / "desktop")
     argv = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
@@ -407,6 +414,12 @@ def story(args):
     check(registered(), "the engine is registered")
     if args.scene:
         yield from orbit_file(args.output, args.scene, args.full)
+        return
+    if args.guide:
+        yield from guide(args.output, args.guide.resolve())
+        return
+    if args.data:
+        yield from files(args.output, args.data.resolve(), args.only)
         return
     watch_renders()
     bpy.context.preferences.view.render_display_type = "NONE"  # F12 leaves the window as it is

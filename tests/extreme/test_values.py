@@ -73,6 +73,7 @@ CLOUD = {
     "surface": np.full((144, 2), 0.5, np.float32),
     "emission": np.full((144, 3), 0.1, np.float32),
     "shading_normal": plane_cloud(12, 0.8).normal,
+    "velocity": np.full((144, 3), 0.1, np.float32),
     "value": np.ones(144, np.float32),
 }
 

@@ -62,6 +62,7 @@ class Hierarchy:
     surface: np.ndarray | None = None  # (M, 2) float32, mean
     emission: np.ndarray | None = None  # (M, 3) float32, mean; in media of the kernel as it is drawn
     shading_normal: np.ndarray | None = None  # (M, 3) float32, mean, not normalised
+    velocity: np.ndarray | None = None  # (M, 3) float32, mean
     extinction: np.ndarray | None = None  # (M,) or (M, C) float32, of the kernel as it is drawn (`points_and_nodes`)
     value: np.ndarray | None = None  # (M,) float32, mean
     material: np.ndarray | None = None  # (M,) uint16, of the heaviest child

@@ -22,6 +22,7 @@ ATTRIBUTES: dict[str, tuple[tuple[int, ...] | None, type]] = {
     "surface": ((2,), np.float32),
     "emission": ((3,), np.float32),
     "shading_normal": ((3,), np.float32),
+    "velocity": ((3,), np.float32),
     "extinction": (None, np.float32),
     "material": ((), np.uint16),
     "value": ((), np.float32),
@@ -58,6 +59,7 @@ class PointCloud:
     surface: np.ndarray | None = None  # (N, 2) float32: roughness, metallic (where they vary within a material)
     emission: np.ndarray | None = None  # (N, 3) float32, scene-linear emitted radiance (where it varies)
     shading_normal: np.ndarray | None = None  # (N, 3) float32, unit where they are not the splat's own `normal`
+    velocity: np.ndarray | None = None  # (N, 3) float32, object units a frame: how points move within their object
     extinction: np.ndarray | None = None  # (N,) or (N, 3) float32, per object unit
     material: np.ndarray | None = None  # (N,) uint16, rows of the material table
     value: np.ndarray | None = None  # (N,) float32, physical scalar for transfer functions

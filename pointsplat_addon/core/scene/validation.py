@@ -110,6 +110,7 @@ RULES: dict[type, dict[str, Rule]] = {
     PointCloud: {
         "origin": Rule(REMOVE, *_DISTANCE),
         **{name: Rule(REMOVE, *_DISTANCE) for name in LENGTHS},
+        "velocity": Rule(DEFAULT, *_DISTANCE),  # the point has not moved
         **dict.fromkeys(
             ("color", "opacity", "surface", "emission", "extinction", "value", "share"),
             Rule(REMOVE, -FLOAT32, FLOAT32),

@@ -65,13 +65,19 @@ def bounds_of_scales(splats: CapturedSplats) -> np.ndarray:
 
 
 def seen(
-    splats: CapturedSplats, largest: np.ndarray, view_from_object: np.ndarray, camera: Camera, everywhere: bool = False
+    splats: CapturedSplats,
+    largest: np.ndarray,
+    view_from_object: np.ndarray,
+    camera: Camera,
+    everywhere: bool = False,
+    among: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The rows (K,) int64, rising, of the splats that may show in a view, and their depths (K,) float32 less that of
     the origin: a sum of both may not tell splats of a small object apart.
 
     largest: (N,) as `bounds_of_scales` left it. view_from_object: (4, 4) float64 that holds the splats' origin.
-    `everywhere`: those beside the picture count, too.
+    `everywhere`: those beside the picture count, too. among: (R,) int64, rising, of the rows that are looked at; None:
+    all.
     """
     linear, offset = view_from_object[:3, :3], view_from_object[:3, 3].astype(np.float32)
     columns = np.ascontiguousarray(linear.T, np.float32)
@@ -82,23 +88,25 @@ def seen(
     tangents = np.sqrt(1 + np.abs(limits).max(axis=0) ** 2) if camera.perspective else np.ones(2)
     stretch = np.abs([fx, fy]) * tangents * np.linalg.norm(linear, 2) * WIDEST
     around = WIDEST * np.sqrt(LOW_PASS)
-    keep = np.empty(len(splats), bool)
-    depth = np.empty(len(splats), np.float32)
+    count = len(splats) if among is None else len(among)
+    keep = np.empty(count, bool)
+    depth = np.empty(count, np.float32)
 
     def look(block: slice) -> None:
         with np.errstate(all="ignore"):
-            turned = splats.position[block] @ columns
+            rows: slice | np.ndarray = block if among is None else among[block]
+            turned, widest = splats.position[rows] @ columns, largest[rows]
             depth[block] = -turned[:, 2]
             x, y, z = (turned + offset).T
-            inside = (-z > camera.near) & (-z < camera.far) & (largest[block] >= 0)
+            inside = (-z > camera.near) & (-z < camera.far) & (widest >= 0)
             if not everywhere:
                 over = -1 / z if camera.perspective else np.float32(1)
-                size = largest[block] * over
+                size = widest * over
                 for at, f, c, side, s in ((x, fx, cx, width, stretch[0]), (y, fy, cy, height, stretch[1])):
                     half = np.float32(side / 2)
                     inside &= np.abs(f * at * over + (c - half)) < half + np.float32(around) + np.float32(s) * size
         keep[block] = inside
 
-    each_block(len(splats), look)
-    rows = np.flatnonzero(keep)
-    return rows, depth[rows]
+    each_block(count, look)
+    found = np.flatnonzero(keep)
+    return (found if among is None else among[found]), depth[found]

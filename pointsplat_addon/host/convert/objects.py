@@ -54,6 +54,7 @@ class Source:
     filters: Filters | None = None  # of points
     clip: Clip | None = None  # of points
     antialiased: bool = False  # of captured splats
+    motion: float = 0.0  # of points: seconds of a frame, where a pass asks how they move
 
     @property
     def strands(self) -> bool:
@@ -90,6 +91,8 @@ def collect(
     identity: list[tuple] = []
     unsupported: dict[str, list[str]] = {}
     boxes: dict[int, Boxes | None] = {}  # of point clouds, by session_uid
+    render = depsgraph.scene_eval.render
+    motion = render.fps_base / render.fps if identify else 0.0
     tubes: set[int] = set()  # session_uids of curve objects that are drawn as tubes
     count = 0
     for row, instance in enumerate(depsgraph.object_instances):
@@ -122,6 +125,7 @@ def collect(
                 unsupported.setdefault("Shadow catchers", []).append(ob.name)
             elif visible.drawn and (view3d is None or ob.visible_in_viewport_get(view3d)):
                 source = _make_source(ob, view_layer.material_override, visible, instance.is_instance, clip)
+                source.motion = motion
                 sources += [source] if instance.show_self else []
                 if len(ob.particle_systems) and instance.show_particles:
                     # Hair is read later, when the instance and its object no longer live

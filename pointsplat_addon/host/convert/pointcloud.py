@@ -31,6 +31,7 @@ from .sample_material import SampleMaterial, generated_coordinates, surface_cons
 
 DEFAULT_RADIUS = 0.01  # Blender's, for points without a radius attribute
 COLOR_NAMES = ("Color", "Col")  # names that importers give to colours
+VELOCITY = "velocity"  # object units a second, as Cycles and Blender's simulations have it
 OPACITY_NAMES = ("opacity", "alpha")
 CAPTURED_ATTRIBUTE = "f_dc_0"  # an attribute of captured splats, whose opacities are logits
 READABLE_TYPES = {"FLOAT": 1, "FLOAT2": 2, "FLOAT_VECTOR": 3}  # to numbers of a value
@@ -47,6 +48,7 @@ class Points:
     normal: np.ndarray | None = None  # (N, 3) float32
     station: np.ndarray | None = None  # (N,) int32
     opacity: np.ndarray | None = None  # (N,) float32
+    velocity: np.ndarray | None = None  # (N, 3) float32, object units a frame
     kernel: np.ndarray | None = None  # (N,) uint8, rows of core.splat.kernel.PROFILES
     colors: dict[str, np.ndarray] = field(default_factory=dict)  # by name, (N, 4) as stored
     uv: dict[str, np.ndarray] = field(default_factory=dict)  # by name, (N, 2) float32
@@ -56,7 +58,7 @@ class Points:
         """The points of some rows (K,) int, None: all."""
         if rows is None:
             return self
-        own = self.radius, self.normal, self.station, self.opacity, self.kernel
+        own = self.radius, self.normal, self.station, self.opacity, self.velocity, self.kernel
         taken = [None if array is None else take_rows(array, rows) for array in own]
         groups = self.colors, self.uv, self.grids
         colors, uv, grids = ({name: take_rows(array, rows) for name, array in group.items()} for group in groups)
@@ -72,7 +74,7 @@ class Points:
     def key(self) -> str:
         """Content key of all arrays."""
         named = [part for group in (self.colors, self.uv, self.grids) for item in group.items() for part in item]
-        own = self.position, self.radius, self.normal, self.station, self.opacity, self.kernel
+        own = self.position, self.radius, self.normal, self.station, self.opacity, self.velocity, self.kernel
         return arrays.digest("pointcloud", *own, *named)
 
 
@@ -82,10 +84,11 @@ def read_pointcloud(
     lookup: Lookup,
     shape: PointShape = AS_GIVEN,
     rows: np.ndarray | None = None,
+    motion: float = 0.0,
 ) -> tuple[str, PointCloud] | None:
     """(content key, cloud) of a point cloud, or of the vertices of a mesh, in object space; None if it is empty.
 
-    rows: the points that are wanted, (K,) int; None: all.
+    rows: the points that are wanted, (K,) int; None: all. motion: seconds of a frame, where velocities are wanted.
 
     Where the shape has no radius, it is the points' attribute. Without such an attribute, points of a point cloud have
     Blender's default radius, and vertices half the median distance to their nearest neighbours.
@@ -106,6 +109,7 @@ def read_pointcloud(
         None if shape.kind == "BALLS" else _read(data, "normal", "FLOAT_VECTOR"),
         station_of(data) if shape.stations else None,
         _opacity(data) if imported else None,
+        _velocity(data, motion) if motion > 0 else None,
         _kernel(data),
         {a.name: attribute_as_color(a) for a in _color_attributes(data, wanted, imported)},
         _present((name, _read(data, name, "FLOAT2")) for name in wanted.uv if name is not None),
@@ -145,6 +149,7 @@ def _make_cloud(points: Points, material: SampleMaterial, shape: PointShape, loo
         surface=fields.get("surface"),
         emission=fields.get("emission"),
         material=np.full(count, material.row, np.uint16) if material.row else None,
+        velocity=None if points.velocity is None else _in_order(points.velocity, places),
         kernel=None if points.kernel is None else _in_order(points.kernel, places),
     )
     if material.extinction > 0 or material.medium is not None:
@@ -270,6 +275,12 @@ def _opacity(data: Data) -> np.ndarray | None:
         return None
     found = next((a for name in OPACITY_NAMES if (a := _read(data, name, "FLOAT")) is not None), None)
     return None if found is None else np.clip(np.nan_to_num(found, nan=1.0), 0, 1)
+
+
+def _velocity(data: Data, motion: float) -> np.ndarray | None:
+    """How far points move in `motion` seconds, (N, 3) in object units; None where they have no velocity."""
+    found = _read(data, VELOCITY, "FLOAT_VECTOR")
+    return None if found is None else found * np.float32(motion)
 
 
 def _kernel(data: Data) -> np.ndarray | None:

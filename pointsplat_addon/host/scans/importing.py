@@ -11,7 +11,7 @@ import bpy
 
 from ...formats.points import ply
 from ...formats.points.gather import Gathered, Selection, gather
-from ...formats.points.opening import open_points
+from ...formats.points.opening import FOLDERS, open_points
 from ...formats.points.reader import PointFileError, Reader
 from .looks import default_look, look_material
 from .objects import scan_object, scene_origin
@@ -44,8 +44,14 @@ def import_scan(
         warnings.append(f"{found.dropped:,} points without a position are left out")
     crs = readers[0].header.crs
     found.warnings = warnings + found.warnings
-    ob = _placed(context, paths[0].stem if len(paths) == 1 else paths[0].parent.name, found, crs, unit)
+    ob = _placed(context, _name(paths), found, crs, unit)
     return ob, found.warnings
+
+
+def _name(paths: Sequence[Path]) -> str:
+    """What the object is called: as its file, or as the folder of several or of an octree."""
+    alone = len(paths) == 1 and paths[0].name.lower() not in FOLDERS
+    return paths[0].stem.removesuffix(".copc") if alone else paths[0].parent.name
 
 
 def _placed(context: Any, name: str, found: Gathered, crs: str, unit: float) -> bpy.types.Object:

@@ -38,7 +38,7 @@ def scan_object(name: str, found: Gathered, crs: str) -> bpy.types.Object:
     radius = found.columns.pop("radius", None)
     if radius is None:
         radius = np.full(count, 0.5 * scan_spacing(position) or DEFAULT_RADIUS, np.float32)
-    data = _with_points(name, count)
+    data = with_points(name, count)
     _write(data, "position", found.columns.pop("position"))
     _write(data, "radius", np.asarray(radius, np.float32))
     color = found.columns.pop("color", None)
@@ -47,7 +47,7 @@ def scan_object(name: str, found: Gathered, crs: str) -> bpy.types.Object:
         del color
     for column in list(found.columns):
         _write(data, column, found.columns.pop(column))
-    ob = _as_object(name, data)
+    ob = as_object(name, data)
     ob[ORIGIN] = [float(x) for x in found.origin]
     if found.time_start:
         ob[TIME_START] = float(found.time_start)
@@ -56,11 +56,6 @@ def scan_object(name: str, found: Gathered, crs: str) -> bpy.types.Object:
     if len(found.stations):
         ob[STATIONS] = [float(x) for x in found.stations.ravel()]
     return ob
-
-
-def point_object(name: str, count: int) -> bpy.types.Object:
-    """Returns a new PointCloud object, in no collection, of so many points at the origin."""
-    return _as_object(name, _with_points(name, count))
 
 
 def scene_origin(scene: bpy.types.Scene, origin: np.ndarray, crs: str) -> np.ndarray:
@@ -73,8 +68,8 @@ def scene_origin(scene: bpy.types.Scene, origin: np.ndarray, crs: str) -> np.nda
     return np.array([scene["crs x"], scene["crs y"], scene.get("pointsplat_crs_z", 0.0)], np.float64)
 
 
-def _with_points(name: str, count: int) -> Any:
-    """A point cloud of so many points, or a mesh of as many vertices where point clouds cannot be resized."""
+def with_points(name: str, count: int) -> Any:
+    """Returns a point cloud of so many points, or a mesh of as many vertices where point clouds cannot be resized."""
     if hasattr(bpy.types.PointCloud, "resize"):
         data = bpy.data.pointclouds.new(name)
         data.resize(count)
@@ -84,8 +79,11 @@ def _with_points(name: str, count: int) -> Any:
     return data
 
 
-def _as_object(name: str, data: Any) -> bpy.types.Object:
-    """The object of a point cloud; of a mesh, which becomes one."""
+def as_object(name: str, data: Any) -> bpy.types.Object:
+    """Returns the object, in no collection, of a point cloud; of a mesh, which becomes one.
+
+    Positions are to be there: Blender 4.5 keeps the bounds that a mesh had when it became a point cloud.
+    """
     ob = bpy.data.objects.new(name, data)
     if isinstance(data, bpy.types.PointCloud):
         return ob

@@ -14,6 +14,7 @@ from ...formats.points.opening import FORMATS, open_points
 from ...formats.points.reader import PointFileError
 from ..convert.selection.filters import ORIGIN, class_numbers
 from ..ui.stepwise import Stepwise
+from ..ui.views import reach
 from . import looks
 from .importing import import_scan, unit_of
 from .sequences import import_sequence
@@ -117,6 +118,7 @@ class POINTSPLAT_OT_import_points(Stepwise, bpy.types.Operator, ImportHelper):
     def finish(self, result):
         ob, warnings = result
         ob.pointsplat.shape = self.shape
+        reach(bpy.context, [ob])
         for warning in warnings:
             self.report({"WARNING"}, warning)
         self.report({"INFO"}, f"{ob.name}: {len(ob.data.points):,} points")

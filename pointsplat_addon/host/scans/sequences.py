@@ -20,12 +20,11 @@ from ...formats.points import ply
 from ...formats.points.gather import Selection, gather
 from ...formats.points.opening import open_points
 from ...formats.points.reader import PointFileError
-from ..convert.pointcloud import DEFAULT_RADIUS
+from ..convert.pointcloud import DEFAULT_RADIUS, VELOCITY
 from .looks import look_material
 
 ZEROS = "0" * 9  # before a file's number: as many digits as names of frames have at most
 SPAN = 24  # bits of a float32
-VELOCITY = "velocity"  # per second, object units, as Blender's own simulations name it
 
 
 @value_record

@@ -38,14 +38,15 @@ def import_files(
                 except StopIteration:
                     pass
                 warnings += [f"{path.name}: {message}" for message in messages(reader)]
-                found[-1].place(context, reader.header, axes or reader.header.axes)
+                found[-1].place(context, axes or reader.header.axes)
     except BaseException:
         for made in found:
             made.remove()
         raise
-    for made in found:
-        made.object.select_set(True)
-    return [made.object for made in found], warnings
+    objects = [made.object for made in found if made.object is not None]
+    for ob in objects:
+        ob.select_set(True)
+    return objects, warnings
 
 
 def _filled(path: Path, reader: SplatReader, found: list[SplatObject]) -> Generator[float, None, None]:

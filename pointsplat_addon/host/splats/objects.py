@@ -18,24 +18,23 @@ from ...formats.splats.reader import BLOCK, SplatHeader
 from ..convert import arrays
 from ..convert.captured import ANTIALIASED, BASE, HARMONICS, ROTATION, SCALE
 from ..convert.selection.filters import ORIGIN
-from ..scans.objects import point_object, scene_origin
+from ..scans.objects import as_object, scene_origin, with_points
 
 WIDTHS = {"FLOAT_VECTOR": 3, "QUATERNION": 4, "FLOAT_COLOR": 4, "FLOAT4": 4}
 
 
 class SplatObject:
-    """A new object, in no collection, that is filled with splats part by part."""
+    """A new object that is filled with splats part by part; it is there when it is placed."""
+
+    object: bpy.types.Object | None = None
 
     def __init__(self, name: str, header: SplatHeader, count: int) -> None:
-        self.object = point_object(name, count)
-        self._filled = 0
-        data: Any = self.object.data
+        self._name, self._header, self._filled = name, header, 0
+        self._data = data = with_points(name, count)
         kinds = {SCALE: "FLOAT_VECTOR", ROTATION: "QUATERNION", BASE: _four_floats()}
         kinds |= {HARMONICS.format(i): "FLOAT_VECTOR" for i in range(header.coefficients)}
         for attribute, kind in kinds.items():
             data.attributes.new(attribute, kind, "POINT")
-        if header.antialiased:
-            self.object[ANTIALIASED] = True
 
     def fill(self, splats: CapturedSplats) -> None:
         """Writes further splats into Blender's memory."""
@@ -44,29 +43,35 @@ class SplatObject:
             return
         position, scale, rotation, base = (self._array(name) for name in ("position", SCALE, ROTATION, BASE))
         coefficients = 0 if splats.sh is None else splats.sh.shape[1]
-        harmonics = [self._array(HARMONICS.format(i)) for i in range(coefficients)]
+        harmonics = [_whole(self._array(HARMONICS.format(i))) for i in range(coefficients)]
+        given = None if splats.sh is None else _whole(splats.sh.reshape(-1, 3)).reshape(len(splats), coefficients)
 
         def write(block: slice) -> None:
             rows = slice(first + block.start, first + block.stop)
             position[rows], scale[rows] = splats.position[block], splats.scale[block]
             rotation[rows] = splats.rotation[block]
             base[rows, :3], base[rows, 3] = splats.base[block], splats.opacity[block]
-            if splats.sh is not None:
+            if given is not None:
                 for i, array in enumerate(harmonics):
-                    array[rows] = splats.sh[block, i]
+                    array[rows] = given[block, i]
 
         each_block(len(splats), write, BLOCK)
 
     def _array(self, name: str) -> np.ndarray:
         """An attribute's memory, (N, 3 | 4) float32."""
-        attribute = self.object.data.attributes[name]
+        attribute = self._data.attributes[name]
         width = WIDTHS[attribute.data_type]
         return arrays.view(attribute.data, (len(attribute.data), width), np.float32)
 
-    def place(self, context: Any, header: SplatHeader, axes: str) -> None:
+    def place(self, context: Any, axes: str) -> None:
         """Turns the object from a file's axes to Blender's, links it to the active collection and selects it."""
-        ob = self.object
+        header, first = self._header, self._data.attributes["position"].data[0]
+        first.vector = first.vector  # Blender does not know that positions changed, and would keep their bounds
+        self.object = ob = as_object(self._name, self._data)
+        self._data = ob.data
         ob.data.update_tag()
+        if header.antialiased:
+            ob[ANTIALIASED] = True
         turn = blender_from(axes)
         ob.matrix_basis = Matrix(turn.tolist()).to_4x4()
         if any(header.origin):
@@ -81,9 +86,15 @@ class SplatObject:
 
     def remove(self) -> None:
         """Takes the object out of the file."""
-        data = self.object.data
-        bpy.data.objects.remove(self.object)
-        bpy.data.pointclouds.remove(data)
+        if self.object is not None:
+            bpy.data.objects.remove(self.object)
+        blocks: Any = bpy.data.pointclouds if isinstance(self._data, bpy.types.PointCloud) else bpy.data.meshes
+        blocks.remove(self._data)
+
+
+def _whole(vectors: np.ndarray) -> np.ndarray:
+    """Rows (N, 3) float32 as items (N,), which are copied at once: NumPy copies short rows column by column."""
+    return vectors.view(np.dtype((np.void, 12)))[:, 0]
 
 
 def _four_floats() -> str:

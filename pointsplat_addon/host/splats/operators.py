@@ -13,6 +13,7 @@ from ...formats.points.reader import PointFileError
 from ...formats.splats.axes import Y_DOWN, Y_UP, Z_UP
 from ...formats.splats.opening import ENDS, SETS
 from ..ui.stepwise import Stepwise
+from ..ui.views import reach
 from .exporting import AXES, NothingToExportError, export_file
 from .importing import import_files
 
@@ -68,6 +69,7 @@ class POINTSPLAT_OT_import_splats(Stepwise, bpy.types.Operator, ImportHelper):
 
     def finish(self, result):
         objects, warnings = result
+        reach(bpy.context, objects)
         for warning in warnings:
             self.report({"WARNING"}, warning)
         for ob in objects:

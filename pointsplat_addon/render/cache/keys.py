@@ -58,6 +58,8 @@ class Kind(Enum):
     IS_INVISIBLE = auto()
     AREA_SHARES = auto()  # covered fraction of each splat's ellipse
     # Of captured splats
+    CAPTURED_TREE = auto()  # nodes that stand for many
+    CAPTURED_TREE_ASKED_FOR = auto()
     LARGEST_SCALES = auto()  # of each
     # Of shadows
     CASTER_BALL = auto()
@@ -82,6 +84,7 @@ class Kind(Enum):
     TRANSLUCENT_PAGE = auto()
     STRAND_PAGE = auto()
     CAPTURED_PAGE = auto()
+    CAPTURED_NODE_PAGE = auto()
     CAPTURED_ORDER = auto()  # of the captured splats of one of the frames in the making
     POLYGON_MESH = auto()
     POLYGON_PAGE = auto()  # of many small meshes

@@ -147,7 +147,7 @@ class Frame:
         if self.targets.visibility is not None:
             self._allocate_visibility(self.targets.visibility)
         elif self.lit is not None:
-            self.translucent = Translucent(device, plan, self.lit.lit, self.targets, run)
+            self.translucent = Translucent(device, plan, self.lit, self.targets, run)
 
     def _allocate_visibility(self, targets: VisibilityTargets) -> None:
         device, plan, run, over = self.device, self.frame_plan.plan, self.clock.run, None

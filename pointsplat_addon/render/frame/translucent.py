@@ -7,13 +7,14 @@ from dataclasses import replace
 
 from ...shading.interface import Interface
 from ..device.protocol import Device, Target, Texture
-from ..passes.translucent.blend import COARSE, ENLARGE, add_program, depth_program
+from ..passes.translucent.blend import COARSE, ENLARGE, SHOW, add_program, depth_program
 from ..passes.translucent.light import light_program
 from ..passes.translucent.lit_splats import LitSplats
 from ..passes.uniforms import SampleView
 from ..plan.plan import Plan
 from ..plan.request import Request
 from .targets import Targets
+from .uploads.captured import CapturedUploads
 from .uploads.uploads import Uploads
 
 LIGHTINGS = 4  # how often translucent splats are lit in one picture, if lights have a size
@@ -53,8 +54,9 @@ class LitTranslucent:
         if splats is not None:
             program = light_program(plan.translucent, plan.lighting, plan.materials, splats.shared_lights)
             count = splats.count
-        captured = 0 if uploads.captured is None else uploads.captured.most
+        captured = 0 if uploads.captured is None or uploads.captured.picture is not None else uploads.captured.most
         self.lit = LitSplats(device, plan.translucent, program, count, samples, captured)
+        self.captured = uploads.captured
 
     def light(self, points: int, view: SampleView) -> None:
         """Lights the splats from the points with the index `points` on lights with a size.
@@ -68,7 +70,8 @@ class LitTranslucent:
             if self.splats.shared_lights:
                 textures |= self.splats.light_shares(points, view, self._run)
             self._run("light", lambda: self.lit.light(view, len(self._uploads.scene.lights), textures))
-        if (captured := self._uploads.captured) is not None:
+        captured = self._uploads.captured
+        if captured is not None and captured.picture is None:
             self._run("captured", lambda: captured.project(self.lit, view))
 
     def release(self) -> None:
@@ -82,13 +85,14 @@ class Translucent:
         self,
         device: Device,
         plan: Plan,
-        lit: LitSplats,
+        lit: LitTranslucent,
         targets: Targets,
         run: Callable[[str, Callable[[], None]], None],
     ) -> None:
         """Makes the programs that draw the splats. `run` times each pass."""
         assert plan.translucent is not None
-        self.device, self.targets, self.lit, self._run = device, targets, lit, run
+        self.device, self.targets, self.lit, self._run = device, targets, lit.lit, run
+        self._kept = lit.captured if lit.captured is not None and lit.captured.keeps_picture else None
         variant = plan.variant
         channels = variant.samplers(only=("centre", "shape", "normal") if variant.normal else ("centre",))
         self._add = add_program(plan.translucent)
@@ -118,7 +122,27 @@ class Translucent:
             few = view, targets.depth, COARSE
             run("translucent", lambda: lit.draw(targets.coarse_target, *few))
             run("enlarge", lambda: draw(ENLARGE, targets.layer_target, {"ps_coarse": targets.coarse}, "over"))
+        elif self._kept is not None:
+            picture = self._kept.picture or self._draw_kept(self._kept, centred)
+            run("translucent", lambda: draw(SHOW, targets.layer_target, {"ps_picture": picture}, "over"))
         else:
             run("translucent", lambda: lit.draw(targets.layer_target, centred, targets.depth))
         layer = {"ps_layer": targets.layer, **({} if targets.cut is None else {"ps_cut": targets.cut})}
         run("add", lambda: draw(self._add, targets.combined_target, layer, "blend"))
+
+    def _draw_kept(self, captured: CapturedUploads, view: SampleView) -> Texture:
+        """Draws captured splats by themselves; the same view shows that picture again."""
+        assert self.targets.layer is not None
+        picture = self.device.texture(self.targets.layer.size, "RGBA32F")
+        try:
+            target = self.device.target([picture])
+            try:
+                self.device.clear(target)
+                self._run("translucent", lambda: self.lit.draw(target, view, None))
+            finally:
+                target.release()
+        except BaseException:
+            picture.release()
+            raise
+        captured.keep(picture)
+        return picture

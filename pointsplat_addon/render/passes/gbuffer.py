@@ -15,6 +15,7 @@ class Variant:
     surface: bool = False  # so do roughness and metallic; they ride with normal and colour, which this implies
     emission: bool = False
     owner: bool = False  # a pass asks which instance a pixel shows
+    velocity: bool = False  # a pass asks how points move, and some do; it rides with owner, which this implies
     wide: bool = False  # more materials than half floats count
     spread: bool = False  # groups of sub-samples keep the spread of their normals, in the centre's second channel
     front: bool = True  # a pyramid asks for the depth of the near end
@@ -23,7 +24,8 @@ class Variant:
     def defines(self) -> tuple[str, ...]:
         named = {
             "PS_NORMAL": self.normal, "PS_COLOR": self.color, "PS_SURFACE": self.surface,
-            "PS_EMISSION": self.emission, "PS_OWNER": self.owner, "PS_SPREAD": self.spread,
+            "PS_EMISSION": self.emission, "PS_OWNER": self.owner, "PS_VELOCITY": self.velocity,
+            "PS_SPREAD": self.spread,
         }  # fmt: skip
         return tuple(name for name, on in named.items() if on)
 
@@ -41,7 +43,7 @@ class Variant:
         if self.emission:
             found.append(("emission", "RGBA16F", "vec4"))
         if self.owner:
-            found.append(("owner", "R32UI", "uint"))
+            found.append(("owner", "RGBA32F", "vec4") if self.velocity else ("owner", "R32UI", "uint"))
         return tuple(found)
 
     def outputs(self) -> tuple[tuple[str, str], ...]:

@@ -28,6 +28,7 @@ from ..passes.output.adaptive import why_everywhere
 from ..passes.outputs import CRYPTO
 from ..passes.shading.averages import averaged
 from ..passes.shading.data import data
+from ..prepare.captured import count_captured
 from ..prepare.in_view import without_invisible_layers
 from ..prepare.meshes.parts import count_triangles
 from ..prepare.negligible import without_negligible
@@ -88,8 +89,8 @@ class FramePlan:
         prepared = self.prepared
         opaque = () if self.plan.painter else (prepared, prepared.nodes)
         layers = (*opaque, prepared.translucent, prepared.spheres)
-        captured = (self.scene.geometries[self.scene.instances.geometry[row]].captured for row in prepared.captured)
-        return sum(layer.cut.splats for layer in layers) + sum(len(splats) for splats in captured if splats is not None)
+        captured = count_captured(self.scene, prepared.captured, prepared.captured_nodes)
+        return sum(layer.cut.splats for layer in layers) + captured
 
     @property
     def strands(self) -> int:
@@ -178,7 +179,8 @@ def make_frame_plan(
         scene, prepared, with_filter_margin(camera, neighbourhood(request.settings)), store
     )
     scene, reflects, negligible = without_negligible(scene, prepared, camera.view_from_world, store)
-    shadows, unshadowed = _shadows(scene, prepared, request, store, clock, limits)
+    settings = replace(request.settings, technique=technique.name)
+    shadows, unshadowed = _shadows(scene, prepared, replace(request, settings=settings), store, clock, limits)
     painter = technique.name == "PAINTER" and prepared.cut.splats > 0
     if painter:
         prepared = with_opaque_among_translucent(

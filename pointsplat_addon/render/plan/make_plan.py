@@ -141,6 +141,7 @@ def _point_options(view: ViewToPlan, kinds: _Kinds, normals: bool, ewa: EwaOptio
     holdout = bool(_holdouts(scene)[shown].any())
     return PointOptions(
         shading_normal=normals and any(p.cloud.shading_normal is not None for p in sets),
+        velocity=_moving(view),
         facets=normals and any(p.cloud.facets is not None for p in sets),
         cull=kinds.points and bool(scene.materials.cull.any()),
         holdout=holdout,
@@ -201,6 +202,7 @@ def _variants(view: ViewToPlan, kinds: _Kinds, attributes: _Attributes, normals:
     owner = bool(passes & set(NEED_OWNER))
     wide = len(view.scene.materials) >= EXACT_HALF
     pyramid = kinds.points and not view.ewa and not view.sub_samples
+    velocity = _moving(view)
     variant = Variant(
         normals,
         attributes.color,
@@ -210,12 +212,17 @@ def _variants(view: ViewToPlan, kinds: _Kinds, attributes: _Attributes, normals:
         front=pyramid and not view.painter,
     )
     if view.painter:
-        data_variant = replace(variant, normal=True, emission=False, owner=owner, front=pyramid)
+        data_variant = replace(variant, normal=True, emission=False, owner=owner, velocity=velocity, front=pyramid)
     else:
-        data_variant = Variant(owner=owner, wide=wide, front=pyramid)
+        data_variant = Variant(owner=owner, velocity=velocity, wide=wide, front=pyramid)
     if not view.picture and not averaged(passes):
         variant = data_variant
     return variant, data_variant
+
+
+def _moving(view: ViewToPlan) -> bool:
+    """Whether a pass asks how points move within their objects, and some do."""
+    return "vector" in view.request.passes and any(p.cloud.velocity is not None for p in _opaque_sets(view.prepared))
 
 
 def _spreads(view: ViewToPlan, kinds: _Kinds, variant: Variant) -> bool:
@@ -259,6 +266,7 @@ def _shadows(shadows: Shadows) -> tuple[str, ...]:
         "PS_SHADOW_MAPS": maps is not None,
         "PS_SHADOW_SOFT": maps is not None and maps.soft,
         "PS_SHADOW_NESTED": maps is not None and maps.nested,
+        "PS_SHADOW_STRANDS": maps is not None and maps.strands,
         "PS_SHADOW_PANES": shadows.panes is not None,
     }
     if shadows.tables is not None:
@@ -301,7 +309,10 @@ def _translucent(view: ViewToPlan, kinds: _Kinds) -> TranslucentOptions | None:
     holdout = bool(holdouts[layer.set_of_instance >= 0].any() or holdouts[list(captured)].any())
     grouped = view.sub_samples > 0 and not view.defocus
     opaque = kinds.solid or grouped
-    return translucent_options(clouds, view.scene.materials, opaque, holdout, view.defocus, grouped, bool(captured))
+    return translucent_options(
+        clouds, view.scene.materials, opaque, holdout, view.defocus, grouped, bool(captured),
+        bool(view.prepared.captured_nodes),
+    )  # fmt: skip
 
 
 def _coarse_translucent(view: ViewToPlan, translucent: TranslucentOptions | None) -> bool:

@@ -71,6 +71,7 @@ TRANSLUCENT = (
 LATE = {
     "shadow maps": "those of an earlier picture still hold",
     "order": "the order of an earlier picture still holds",
+    "captured": "an earlier picture of the same view has them",
     "reach": "what reaches them is known from an earlier picture",
     "occlusion": "there are few triangles, or few that others may hide",
 }

@@ -26,6 +26,7 @@ from ...core.strand.segments import Segments, concatenate_segments
 from ...core.strand.selection import select
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
+from .captured import CapturedNodes, captured_instances, captured_nodes
 from .hierarchies import ball_tree_if_it_pays, with_hierarchy_for_defocus, with_hierarchy_if_it_pays
 from .layers import cut_layer, with_ball_nodes
 from .meshes.far import far_nodes
@@ -55,6 +56,7 @@ class Prepared(Layer):
     parts: dict[int, np.ndarray] = field(default_factory=dict)
     strands: dict[int, Segments] = field(default_factory=dict)  # segments of strands, by geometry row
     captured: tuple[int, ...] = ()  # instances of captured splats, those of one geometry together
+    captured_nodes: dict[int, CapturedNodes] = field(default_factory=dict)  # by row of geometries
     out_of_focus: OutOfFocusLayer | None = None  # then all other primitives are those in focus
     # If `translucent` also holds splats out of focus: by key of its sets, the covered fraction of each splat's ellipse.
     shares: dict[int, np.ndarray | float] = field(default_factory=dict)
@@ -121,19 +123,9 @@ def prepare(
         drawn.parts,
         strands,
         captured=captured,
+        captured_nodes=captured_nodes(view, captured, view_from_object),
         out_of_focus=_out_of_focus(focus, behind),
     )
-
-
-def captured_instances(scene: Scene, usable: np.ndarray) -> tuple[int, ...]:
-    """Returns the instances of captured splats, (I,) bool of which may be drawn, those of one geometry together."""
-    of_each = scene.instances.of_each(len(scene.geometries), usable)
-    shown = (
-        rows.tolist()
-        for geometry, rows in zip(scene.geometries, of_each, strict=True)
-        if geometry.captured is not None and len(geometry.captured)
-    )
-    return tuple(row for rows in shown for row in rows)
 
 
 @record

@@ -16,10 +16,11 @@ from ..cache.keys import digest as hashed
 from ..cache.store import Store
 from ..prepare.separation import is_translucent
 from .casting import CastingGeometry, cached_bounding_box, light_key, transmission_digest
-from .light_points import cell_points, grid_shifts, views_of_light
+from .light_points import cell_points, grid_shifts, light_shape, views_of_light
 from .map_views import CastingBoxes, LightViews, MapView, angular_reach, light_views, placed
 
 MOST_PRIMITIVES = 1 << 25  # of all instances of a geometry that maps draw: where there are more, nodes cast into tables
+WIDEST_STRAND = 1 / 32  # of the radius of the ball around an instance, on average
 WIDEST_TEXTURE = 8192  # texels
 HEAD_TEXELS, VIEW_TEXELS = 4, 2  # of a light's record, and of each of its views
 SHAPE_TEXELS = 8  # after them: of a light with a size
@@ -36,6 +37,7 @@ class ShadowMaps:
     size: tuple[int, int]  # of the texture that holds all
     casters: tuple[tuple[str, np.ndarray], ...]  # key of a geometry, (I, 4, 4) its casting instances
     of_scene: ShadowMaps | None = None  # whose texture this one's begins with; what follows are nested maps
+    strands: bool = False  # some casters are strands, which cover shares of texels
 
     @property
     def views(self) -> list[MapView]:
@@ -132,7 +134,7 @@ def takes_map(light: Light) -> bool:
 def casts_into_map(scene: Scene, caster: CastingGeometry) -> bool:
     """Tells whether maps show a caster: a mesh or a cloud that no light passes through."""
     geometry = caster.geometry
-    primitives = _primitives(geometry)
+    primitives = 0 if geometry.strands is not None else _primitives(geometry)
     if primitives == 0 or is_translucent(geometry, scene.materials):
         return False
     return primitives * len(caster.matrices) <= MOST_PRIMITIVES and bool(
@@ -140,7 +142,25 @@ def casts_into_map(scene: Scene, caster: CastingGeometry) -> bool:
     )
 
 
+def casts_as_strands(caster: CastingGeometry) -> bool:
+    """Tells whether maps of lights without size show a caster: strands, but for those as wide as ropes, which tables
+    show as well in less time."""
+    strands = caster.geometry.strands
+    if strands is None or not len(strands.radius):
+        return False
+    scale = np.maximum(largest_singular_value(caster.matrices[:, :3, :3]), 1e-30)
+    reach = float((caster.radius / scale).max(initial=0.0))  # in object space, as radii are
+    if float(strands.radius.mean(dtype=np.float64)) > WIDEST_STRAND * reach:
+        return False
+    primitives = _primitives(caster.geometry)
+    return 0 < primitives * len(caster.matrices) <= MOST_PRIMITIVES and bool(
+        all_finite(caster.matrices.astype(np.float32)).all()
+    )
+
+
 def _primitives(geometry: Geometry) -> int:
+    if geometry.strands is not None:
+        return len(geometry.strands.position)
     if geometry.mesh is not None:
         return len(geometry.mesh.triangles)
     return len(geometry.cloud) if geometry.cloud is not None and geometry.cloud.radii is not None else 0
@@ -154,8 +174,12 @@ def make_maps(
     store: Store,
     texture_size: int,
 ) -> ShadowMaps | None:
-    """Returns the maps of `lights`, those that take one, of casters that cast into maps; None where there are none."""
-    chosen = [light if takes_map(light) else None for light in lights]
+    """Returns the maps of `lights`, those that take one, of casters that cast into maps; None where there are none.
+
+    Strands among the casters are seen by lights without size alone.
+    """
+    solid = [caster for caster in casters if caster.geometry.strands is None]
+    chosen = [light if takes_map(light) and (solid or light_shape(light) is None) else None for light in lights]
     if not casters or not any(chosen):
         return None
     look = tuple(
@@ -166,14 +190,16 @@ def make_maps(
 
     def make() -> ShadowMaps:
         boxes = casting_boxes(casters, store)
-        points = _light_points(chosen, casters, boxes)
+        without_strands = boxes if len(solid) == len(casters) or not solid else casting_boxes(solid, store)
+        points = _light_points(chosen, solid, without_strands)
         views = [
-            None if light is None else light_views(light, boxes, resolution, count)
+            None if light is None else light_views(light, without_strands if count else boxes, resolution, count)
             for light, count in zip(chosen, points, strict=True)
         ]
         splats = sum(len(c.geometry.cloud) * len(c.matrices) for c in casters if c.geometry.cloud is not None)
         arranged, size = placed(views, min(texture_size, WIDEST_TEXTURE), splats)
-        return ShadowMaps(key, tuple(arranged), size, tuple((c.geometry.key, c.matrices) for c in casters))
+        shown = tuple((c.geometry.key, c.matrices) for c in casters)
+        return ShadowMaps(key, tuple(arranged), size, shown, strands=len(solid) < len(casters))
 
     found = store.lookup(key, make)
     return found if found.views else None  # where all that casts lies where no light looks

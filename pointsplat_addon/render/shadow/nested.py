@@ -119,7 +119,7 @@ def _arranged(maps: ShadowMaps, lights: Sequence[LightViews | None], widest: int
         (*view.low.tolist(), view.step, *view.size, *view.corner, view.nested and view.nested.depths) for view in views
     )
     key = Key(Kind.NESTED_MAPS, maps.key, other=look)
-    return ShadowMaps(key, arranged, (max(width, maps.size[0]), below + height), maps.casters, maps)
+    return ShadowMaps(key, arranged, (max(width, maps.size[0]), below + height), maps.casters, maps, maps.strands)
 
 
 def _nested(light: LightViews) -> list[MapView]:

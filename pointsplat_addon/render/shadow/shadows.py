@@ -22,7 +22,7 @@ from ..cache.store import Store
 from .batches import box_corner_casters, splat_batches, strand_segments
 from .casting import CastingGeometry, casting_geometries, light_key, transmission_digest, why_no_shadows
 from .floors import is_lone_body, split_floors
-from .maps import ShadowMaps, casts_into_map, make_maps, takes_map
+from .maps import ShadowMaps, casts_as_strands, casts_into_map, make_maps, takes_map
 from .packed_tables import PackedTables, pack
 from .panes import PaneMaps, casts_as_pane, make_panes, takes_panes
 from .spacing import sample_spacings
@@ -96,7 +96,11 @@ def make_shadows(
         return None, "there is nothing in the shadow of anything"
     lights = sorted_by_kind(scene.lights)
     solid = [casts_into_map(scene, caster) for caster in casters]
-    shown = [caster for caster, one, floor in zip(casters, solid, floors, strict=True) if one and not floor]
+    # Where sub-samples are not looked at one by one, single texels are noisier than tables.
+    fine = settings.technique == "VISIBILITY" and any(light.shadow and takes_panes(light) for light in lights)
+    fibres = [fine and casts_as_strands(caster) for caster in casters]
+    drawn = [one or other for one, other in zip(solid, fibres, strict=True)]
+    shown = [caster for caster, one, floor in zip(casters, drawn, floors, strict=True) if one and not floor]
     maps = make_maps(scene, lights, shown, settings.shadow_resolution, store, texture_size)
     clear = [casts_as_pane(scene, caster) for caster in casters]
     shown = [caster for caster, one, floor in zip(casters, clear, floors, strict=True) if one and not floor]
@@ -105,9 +109,10 @@ def make_shadows(
     everything = _Cast(casters, floors)
     unmapped = [light for light in lights if light.shadow and not takes_map(light)]
     mapped = [light for light in lights if light.shadow and takes_map(light)]
-    hard = [light for light in mapped if panes is not None and takes_panes(light)]
-    soft = [light for light in mapped if panes is None or not takes_panes(light)]
-    neither = [one or other for one, other in zip(solid, clear, strict=True)]
+    apart = panes is not None or any(fibres)
+    hard = [light for light in mapped if apart and takes_panes(light)]
+    soft = [light for light in mapped if not (apart and takes_panes(light))]
+    neither = [one or (other and panes is not None) for one, other in zip(drawn, clear, strict=True)]
     wanted = [(unmapped, everything), (soft, everything.without(solid)), (hard, everything.without(neither))]
     tables = build.tables(lights, wanted)
     if tables is None and maps is None and panes is None:

@@ -16,6 +16,9 @@ PsSurfel ps_attributed(PsSurfel s, ivec3 element)
 #ifdef PS_OWNER
   s.owner = uint(element.z);
 #endif
+#ifdef PS_VELOCITY
+  s.velocity = ps_linear(element.z) * texelFetch(ps_velocity, element.xy, 0).xyz;
+#endif
 #ifdef PS_HOLDOUT
   if (ps_instance_row(element.z, 3).x > 0.5) {
     s.shape.w = -1.0 - s.shape.w;

@@ -10,6 +10,7 @@
 //   color   base colour, metallic
 // PS_NORMAL: something shines, or a pass asks. PS_COLOR: colours come with the points; else the material table has
 // them; so do PS_SURFACE roughness and metallic, and PS_EMISSION. PS_OWNER: which instance, for passes that ask.
+// PS_VELOCITY: how far the point moves in a frame, in view space, in one texture with its instance (-1: none).
 
 #include "lib/geometry/surfel_kind.glsl"
 
@@ -27,6 +28,9 @@ struct PsSurfel {
 #endif
 #ifdef PS_OWNER
   uint owner;
+#endif
+#ifdef PS_VELOCITY
+  vec3 velocity;
 #endif
 };
 
@@ -48,6 +52,9 @@ PsSurfel ps_empty()
 #endif
 #ifdef PS_OWNER
   s.owner = 0xFFFFFFFFu;
+#endif
+#ifdef PS_VELOCITY
+  s.velocity = vec3(0.0);
 #endif
   return s;
 }

@@ -1,8 +1,9 @@
 // The kind of a surfel: its half extent in depth, centre.w, tells it: lib/geometry/surfel.glsl.
 
 #define PS_POLYGON -1e30
-// Of what extends over its own pixel only, centre.y says whether it is a strand, whose normal is its tangent.
-#define PS_STRAND 1.0
+// Of what extends over its own pixel only, centre.y says whether it is a strand, whose normal is its tangent; else it is 0 or
+// the spread of a group's normals (lib/visibility/normal_spread.glsl), which is never less.
+#define PS_STRAND -1.0
 // And centre.z is 0 where its normal is that of its plane, on either side; else 1 + the packed normal of the plane, on the side
 // that is seen, as the normal is.
 // Of groups of sub-samples it is PS_BALL for balls, whose sub-samples have normals of their own, and less for nodes of balls.
@@ -18,7 +19,7 @@ bool ps_is_there(vec4 centre)
 
 bool ps_is_strand(vec4 centre)
 {
-  return centre.w <= PS_POLYGON && centre.y > 0.5 * PS_STRAND;
+  return centre.w <= PS_POLYGON && centre.y < 0.5 * PS_STRAND;
 }
 
 uint ps_strand_number(vec4 centre)

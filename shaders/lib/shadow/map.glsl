@@ -1,6 +1,7 @@
 // Shadows of lights without size, by depth maps seen from them: layout and records in render/shadow/maps.py.
 // PS_SHADOW_MAPS: some light has one. PS_SHADOW_PANES: some light has one of panes, layer behind layer (render/shadow/panes.py).
 // PS_SHADOW_NESTED: maps of suns may hold finer ones for what is near (render/shadow/nested.py).
+// PS_SHADOW_STRANDS: maps show strands, of which some texels are covered here and there: sub-samples do not tell of each other.
 // PS_FOOTPRINT: the share is a mean over the sub-samples of a group, so that edges within a pixel are as smooth as its
 // silhouettes.
 // Samplers: ps_shadow_maps (bits of the depths of all views beyond their near planes, which grow with these), ps_map_lights (one
@@ -14,6 +15,7 @@
 #define PS_MAP_BIAS 0.5  // texels: how far above its plane a receiver is not shaded by what it is part of
 #define PS_MAP_BIAS_OF_BALLS 0.8  // the surfaces of other balls rise above that plane within a texel, where they meet
 #define PS_MAP_BIAS_IN_MEDIA 1.5
+#define PS_MAP_RISE_OF_STRANDS 0.25  // pixels: a cell, as wide as thin strands are drawn at least
 #define PS_MAP_ROUNDING 2e-6  // of distances
 #define PS_MAP_STEEPEST 0.1  // cosine: surfaces that light grazes more closely are treated as this one
 #define PS_MAP_BACK vec2(0.1, 0.3)  // cosines, see ps_map_above
@@ -31,7 +33,7 @@
 struct PsFootprint {
   ivec2 middle;  // central cell of the pixel
   uvec2 members;  // see ps_group_members
-  float above;  // texels, and view units, above its plane up to which a receiver is not shaded by what it is part of
+  float above;  // texels, and view units, above its plane, or a strand, up to which a receiver is not shaded by what it is part of
   float rise;
   bool keyed;  // each sub-sample lies in a plane whose normal is that of its key, turned by
   vec3 turn;  // what is added to it; else in that by which the group is shaded
@@ -172,7 +174,7 @@ PsMapPlace ps_map_place(PsMapLight light, sampler2D records, vec3 position, vec3
   at.facing = dot(n, ray);
   float cosine = at.facing * inversesqrt(dot(ray, ray));
   above *= ps_map_above(cosine);
-  at.bias = (oriented ? (texel * above + rise) / max(abs(cosine), PS_MAP_STEEPEST) : texel * PS_MAP_BIAS_IN_MEDIA) +
+  at.bias = (oriented ? (texel * above + rise) / max(abs(cosine), PS_MAP_STEEPEST) : texel * PS_MAP_BIAS_IN_MEDIA + rise) +
             PS_MAP_ROUNDING * (abs(q.z) + length(position));
   at.reach = oriented ? texel * (1.0 / PS_MAP_STEEPEST) : 0.0;
   at.near = frame.w;
@@ -239,7 +241,9 @@ float ps_map_share(int light, vec3 position, vec3 normal, bool wanted)
     PsMember member = ps_member(members, normal);
     sum += ps_map_lit(map, member.position, member.normal, ps_footprint.above, ps_footprint.rise);
     count += 1.0;
+#ifndef PS_SHADOW_STRANDS
     members = count == float(PS_MAP_FIRST) && (sum == 0.0 || sum > count - 1e-3) ? uvec2(0u) : members;
+#endif
   }
   return count > 0.0 ? sum / count : 1.0;
 #else

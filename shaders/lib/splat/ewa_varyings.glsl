@@ -37,6 +37,9 @@ vec3 ps_splat(ivec2 at, vec4 centre)
 #ifdef PS_EMISSION
   v_emission = texelFetch(ps_splat_emission, at, 0);
 #endif
+#ifdef PS_VELOCITY
+  v_velocity = texelFetch(ps_splat_velocity, at, 0);
+#endif
 #endif
   return c;
 }

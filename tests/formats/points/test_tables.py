@@ -114,6 +114,15 @@ def test_lines_that_are_no_points_are_left_out_and_counted(tmp_path):
         assert reader.warnings == ["a.xyz: 2 lines that do not have 3 numbers are left out"]
 
 
+def test_the_count_before_points_of_pts_is_no_point(tmp_path):
+    for promised, warnings in ((2, []), (3, ["a.pts: promises 3 points and has 2"])):
+        (tmp_path / "a.pts").write_text(f"{promised}\n1 2 3 -50\n4 5 6 12\n")
+        with open_points(tmp_path / "a.pts") as reader:
+            found = np.concatenate([chunk["position"] for chunk in reader.chunks()])
+            np.testing.assert_array_equal(found, [[1, 2, 3], [4, 5, 6]])
+            assert reader.warnings == warnings
+
+
 def test_text_is_read_in_blocks(tmp_path, monkeypatch):
     from pointsplat_addon.formats.points.text import rows as text_rows
 

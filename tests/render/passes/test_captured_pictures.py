@@ -8,6 +8,8 @@ import pytest
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
+from pointsplat_addon.render.passes.tiles import TILE
+from pointsplat_addon.render.passes.translucent.strata import open_tiles, tiles_by_layer
 from pointsplat_addon.render.plan.request import Request
 from scripts.scenes import build, drawing, meshes
 from scripts.scenes.build import captured, moved
@@ -164,3 +166,30 @@ def test_another_view_sorts_again_and_the_same_one_does_not():
     assert "order" in passes(first)
     assert "order" not in passes(first)
     assert "order" in passes(second)
+
+
+def test_the_same_view_again_shows_the_picture_of_before():
+    """Over another world, too, but not where something opaque stands among them."""
+    splats, eye, renderer = random_splats(500), CAMERAS["perspective"], drawing.opengl()
+    thing, seen = (captured("again", splats), moved()), reference.picture([(splats, moved())], eye)
+    quad = build.mesh(meshes.plane_mesh("quad between views", 0.8), "POLYGONS"), moved()
+    request = Request(eye, Settings(use_shadows=False), frozenset({"combined"}), 1)
+    for value, others, again in ((0.1, (), False), (0.9, (), True), (0.1, (quad,), False), (0.4, (), False)):
+        made = build.scene(thing, *others, lights=(), table=TABLE, world=World(np.full(3, value)))
+        result = renderer.render(made, request)
+        assert ("captured" not in {entry["name"] for entry in result.report["passes"]}) == again
+        if not others:
+            expected = seen[..., :3] + (1 - seen[..., 3:]) * value
+            assert reference.psnr(result.pixels["combined"][..., :3], expected) > 80  # measured 96
+
+
+def test_what_is_open_is_drawn_where_something_is():
+    """A tile that a surface fills, one at its edge, and an open one."""
+    covered = np.zeros((TILE, 3 * TILE), int)
+    covered[:, : TILE + 4] = 1
+    layers = covered + (covered == 0)
+    layers[0, TILE] = 2  # an edge
+    every = np.ones((1, 3), bool)
+    np.testing.assert_array_equal(open_tiles(layers, covered, every), [[False, True, True]])
+    np.testing.assert_array_equal(open_tiles(layers, covered, np.array([[True, True, False]])), [[False, True, False]])
+    np.testing.assert_array_equal(tiles_by_layer(covered, every)[0], [[True, True, False]])

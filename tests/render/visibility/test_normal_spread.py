@@ -1,5 +1,7 @@
 """Normals that spread within a pixel: highlights of small and finely waved surfaces against float64 integrals."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -17,13 +19,23 @@ SUNS = [build.sun(3.0, (x, 0.75, z)) for x in (-0.45, -0.1, 0.2, 0.5) for z in (
 TO_EYE = np.array([0.0, -1.0, 0.0])
 
 
-def drawn(mesh: Mesh, roughness: float, specular: float, base: float, width: float, sun: Light) -> np.ndarray:
-    """(SIDE, SIDE) of a mesh seen along +Y, SIDE pixels for a width in units, before a transparent film."""
+def drawn(
+    mesh: Mesh,
+    roughness: float,
+    specular: float,
+    base: float,
+    width: float,
+    sun: Light,
+    beside: Sequence[Geometry] = (),
+) -> np.ndarray:
+    """(SIDE, SIDE) of a mesh seen along +Y, SIDE pixels for a width in units, before a transparent film. `beside`: what
+    else is drawn."""
     eye = cameras.camera((0, -50, 0), resolution=(SIDE, SIDE), parallel=width, near=1, far=99)
     table = build.materials(1, roughness=[roughness], specular=[specular], base_color=[(base,) * 3], metallic=[0])
     settings = Settings(technique="VISIBILITY", use_shadows=False)
     placed = (Geometry(mesh.key, mesh.key, mesh=mesh, primitive="POLYGONS"), np.eye(4))
-    scene = build.scene(placed, lights=[sun], table=table, transparent=True, world=build.World(np.zeros(3)))
+    others = [(geometry, np.eye(4)) for geometry in beside]
+    scene = build.scene(placed, *others, lights=[sun], table=table, transparent=True, world=build.World(np.zeros(3)))
     result = render(Case(scene, eye, settings), frozenset({"combined"}), 16)
     assert result.report["technique"]["name"] == "VISIBILITY"
     return result.pixels["combined"][..., 0].astype(float)
@@ -93,3 +105,20 @@ def test_waves_far_away_shine_as_their_slopes_do(look):
     inner = found[4:-4, 4:-4]
     assert abs(inner.mean() / truth - 1) < WORST[look], f"{inner.mean() / truth:.4f}"
     assert inner.std() < 0.1 * truth, f"{inner.std() / truth:.4f}"
+
+
+@pytest.mark.parametrize("look", LOOKS)
+def test_normals_that_spread_widely_are_not_shaded_as_strands(look):
+    """A plane of triangles of a quarter of a pixel with normals in all directions toward the eye, as leaves far away
+    have, looks the same beside a strand, far enough from it for the pixel filter."""
+    x = np.linspace(-3, 3, 25)
+    p = np.stack([np.stack([x, 0 * x, np.full_like(x, z)], axis=1) for z in x[::-1]])
+    normal = np.random.default_rng(2).normal(size=p.shape)
+    normal[..., 1] = -np.abs(normal[..., 1])
+    mesh = grid(f"leaves {look}", p, normal / np.linalg.norm(normal, axis=-1, keepdims=True))
+    strand = build.strand_lines("strand", [np.array([[-14.0, 0, 10], [14.0, 0, 10]])], 0.5)
+    alone, both = (drawn(mesh, *LOOKS[look], float(SIDE), SUNS[0], beside) for beside in ([], [strand]))
+    near = slice(SIDE // 2 - 5, SIDE // 2 + 5)
+    assert alone[near, near].mean() > 0.002
+    assert both.sum() > alone.sum()  # the strand is drawn
+    np.testing.assert_array_equal(both[near, near], alone[near, near])

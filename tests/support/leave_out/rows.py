@@ -164,6 +164,7 @@ ROWS: dict[str, Row] = {
     "visibility buffer, a cube in held out smoke": Row(lambda: smoke_and_cube(holdout=True)),
     "visibility buffer, smoke alone": Row(lambda: with_settings(translucent_cases.in_smoke(), technique="VISIBILITY")),
     "captured splats": Row(lambda: with_settings(captured_cases.captured_alone(), technique="VISIBILITY"), samples=16),
+    "captured splats from far away": Row(captured_cases.captured_far),
     "captured splats in smoke": Row(captured_cases.captured_in_smoke),
     "visibility buffer, captured splats, smoke and a cube": Row(captured_cases.captured_among),
     "visibility buffer, points and polygons, out of focus, depth": Row(
@@ -190,6 +191,11 @@ ROWS: dict[str, Row] = {
     ),
     "points, indices": Row(solid_cases.plain_sphere, COMBINED | {"object_index", "material_index"}),
     "points, Cryptomatte": Row(solid_cases.plain_sphere, COMBINED | {"crypto_object"}, samples=4),
+    "points that move": Row(solid_cases.flowing),
+    "points that move, motion": Row(solid_cases.flowing, COMBINED | {"vector"}),
+    "visibility buffer, points that move, motion": Row(
+        lambda: with_settings(solid_cases.flowing(), technique="VISIBILITY"), COMBINED | {"vector"}
+    ),
     "points and polygons, motion": Row(solid_cases.moving, COMBINED | {"vector"}),
     "smoke, depth and motion": Row(translucent_cases.in_smoke, COMBINED | {"depth", "vector"}),
     "a light that is off": Row(lambda: further_lights(replace(far_light(), color=np.zeros(3)))),

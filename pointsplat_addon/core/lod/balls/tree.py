@@ -28,7 +28,7 @@ MOST_SATURATION, SATURATION_STEP = 1.25, 2.6
 RANDOM_EXCESS = 0.06  # what random points exceed the expected distance by, as not all neighbours are among the run
 FEW_SATURATION = 2.0  # of nodes of n random balls, times n: moments of few balls are smaller than the cells they lie in
 ONE_SATURATION = 1e4  # of a single ball, which is covered
-AVERAGED = ("color", "surface", "emission")  # attributes of nodes that are means, weighted by area
+AVERAGED = ("color", "surface", "emission", "velocity")  # attributes of nodes that are means, weighted by area
 
 
 @record

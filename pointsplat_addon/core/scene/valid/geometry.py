@@ -23,12 +23,16 @@ MOST_STRAND_POINTS = 1 << 24  # of one geometry: float32 counts no farther
 def valid_points(cloud: PointCloud) -> tuple[PointCloud, int]:
     """Removes points with a NaN or an infinity in any attribute, or a length beyond FARTHEST; returns how many.
 
-    A cloud without such points is returned itself. Where the origin is no position, all points go.
+    A cloud without such points is returned itself. Velocities of that kind become zero. Where the origin is no
+    position, all points go.
     """
     good = np.ones(len(cloud), bool)
     if not (np.abs(cloud.origin) <= FARTHEST).all():
         good[:] = False
         cloud = replace(cloud, origin=np.zeros(3))
+    if cloud.velocity is not None and not (np.abs(cloud.velocity) <= FARTHEST).all():
+        moves = (np.abs(cloud.velocity) <= FARTHEST).all(axis=1)
+        cloud = replace(cloud, velocity=np.where(moves[:, None], cloud.velocity, np.float32(0)))
     for name, array in cloud.arrays().items():
         if array.dtype.kind != "f" or array.size == 0:
             continue

@@ -18,6 +18,7 @@ from .rows import BLANK, NUMERIC, TextRows, blocks, tokens_of_lines
 
 SAMPLE = 1 << 16  # bytes from which columns are guessed
 MOST_NAMED_LINES = 64  # lines among which one of names may be
+MOST_COUNT = 32  # characters of a line that says how many points follow
 Z_ALONE = ("x", "y", "z")
 
 
@@ -55,6 +56,17 @@ def guess(path: Path) -> Layout:
     if title is not None and len(title) == width:
         return Layout(tuple(title), True)
     return Layout(_guessed(np.array([row for row in rows if len(row) == width])), False)
+
+
+def _beginning(path: Path) -> tuple[int, int | None]:
+    """Bytes before the first line that may be a point, and how many points the line before it promises, if it does."""
+    with path.open("rb") as file:
+        start = 3 if file.read(3) == b"\xef\xbb\xbf" else 0
+        file.seek(start)
+        line = file.readline(MOST_COUNT)
+    if path.suffix.lower() == ".pts" and line.endswith(b"\n") and line.strip().isdigit():
+        return start + len(line), int(line)
+    return start, None
 
 
 def _names(line: str) -> list[str]:
@@ -102,7 +114,7 @@ class TextReader(FileReader):
         """`names`: what the columns are; None: as `guess` says."""
         layout = guess(path) if names is None else Layout(names, True)
         self._layout, self._path, self.warnings = layout, path, []
-        start = 3 if path.open("rb").read(3) == b"\xef\xbb\xbf" else 0
+        start, promised = _beginning(path)
         self._rows = TextRows(path, start, 0, None, len(layout.names))
         attributes = attributes_of([(name, np.dtype(np.float64)) for name in layout.names], path)
         self._attributes = attributes
@@ -111,6 +123,8 @@ class TextReader(FileReader):
             counts, _, _, leads = tokens_of_lines(block.translate(BLANK))
             count += int(((counts == len(layout.names)) & NUMERIC[leads]).sum())
         self.header = Header(path, f"text, columns {layout}", count, attributes)
+        if promised not in (None, count):
+            self.warnings.append(f"{path.name}: promises {promised:,} points and has {count:,}")
         first = next(self.chunks((), 1 << 16), None)
         origin = origin_of(None, None if first is None else first["position"])
         self.header = Header(path, self.header.format, count, attributes, origin=origin)

@@ -23,6 +23,7 @@ from ...passes.translucent.light import draw_list_rows
 from ...passes.translucent.lit_splats import LitSplats
 from ...passes.uniforms import SampleView
 from ...plan.plan import Plan
+from ...prepare.captured import CapturedNodes, view_from_splats
 from ...prepare.prepare import Prepared
 from .scope import UploadScope
 from .translucent import TranslucentUploads
@@ -38,6 +39,18 @@ class _Shown:
     largest: np.ndarray  # (N,) float32: core.splat.captured.bounds_of_scales
     first: int  # of the instances, among all that are shown
     instances: tuple[int, ...]  # of the scene
+    rows: tuple[np.ndarray | None, ...]  # of each instance: (R,) int64 of the splats that the cut names; None: all
+    nodes: bool = False  # they stand for many splats
+
+    @property
+    def most(self) -> int:
+        """How many splats a view shows at most."""
+        return sum(len(self.splats) if rows is None else len(rows) for rows in self.rows)
+
+    @property
+    def content(self) -> tuple:
+        """What is shown: a cut follows from the view, and from how fine it is."""
+        return self.key, tuple(None if rows is None else len(rows) for rows in self.rows)
 
 
 @dataclass(eq=False)
@@ -47,11 +60,13 @@ class CapturedOrder:
     key: tuple = ()  # what it depends on
     depth: np.ndarray = field(default_factory=lambda: np.empty(0, np.float32))  # (K,)
     texture: Texture | None = None  # the draw list
+    picture: Texture | None = None  # what they send to the eye, and what they hide, where nothing is among them
 
     def release(self) -> None:
-        if self.texture is not None:
-            self.texture.release()
-        self.texture = None
+        for texture in (self.texture, self.picture):
+            if texture is not None:
+                texture.release()
+        self.texture = self.picture = None
 
 
 class CapturedUploads:
@@ -67,20 +82,41 @@ class CapturedUploads:
         self._shown: list[_Shown] = []
         first = 0
         for row, group in groupby(prepared.captured, lambda instance: int(scene.instances.geometry[instance])):
-            instances = tuple(group)
-            self._shown.append(_shown(scope, store, scene.geometries[row], first, instances))
-            first += len(instances)
+            for one in _shown(
+                scope, store, scene.geometries[row], first, tuple(group), prepared.captured_nodes.get(row)
+            ):
+                self._shown.append(one)
+                first += len(one.instances)
         self.sort_ms: float | None = None  # that finding and sorting what is seen took; None: nothing has changed
         self.count = 0  # splats that the view shows
 
     @property
     def most(self) -> int:
         """The most splats that a view of this frame shows; through a lens, each sample has a view of its own."""
-        return sum(len(one.splats) * len(one.instances) for one in self._shown) if self._varies else self.count
+        return sum(one.most for one in self._shown) if self._varies else self.count
+
+    @property
+    def keeps_picture(self) -> bool:
+        """Whether one picture of the splats alone is drawn, which the same view can show again."""
+        options = self._plan.translucent
+        assert options is not None
+        return options.alone and not (options.opaque or options.holdout or self._varies)
+
+    @property
+    def picture(self) -> Texture | None:
+        """That of an earlier frame with the same view, or of this one after `keep`."""
+        return self._order.picture if self.keeps_picture else None
+
+    def keep(self, picture: Texture) -> None:
+        self._order.picture = picture
 
     def upload_view(self, prepared: Prepared, camera: Camera, others: TranslucentUploads | None) -> None:
         """Finds and sorts what a view shows. `others`: translucent splats among which they are."""
-        views = [_view_from_splats(prepared, one, row) for one in self._shown for row in one.instances]
+        views = [
+            view_from_splats(prepared.view_from_object[row], one.splats.origin)
+            for one in self._shown
+            for row in one.instances
+        ]
         self._slopes = captured.slope_limits(camera)
         self._views = self._scope.view_texture(self._view_rows(views, camera))
         self._order = self._sorted(views, camera)
@@ -96,7 +132,7 @@ class CapturedUploads:
         lit.listed = {} if self._listed is None else {"ps_listed": self._listed}
         for one in self._shown:
             page = one.page
-            program = project_program(options, page.sh_texels, page.sh_shift, one.splats.antialiased)
+            program = project_program(options, page.sh_texels, page.sh_shift, one.splats.antialiased, one.nodes)
             record = view.record(
                 PROJECT,
                 slopes=self._slopes,
@@ -123,15 +159,15 @@ class CapturedUploads:
         """The draw list of a view; that of before where nothing has changed."""
         order: CapturedOrder = self._scope.lookup(self._order_key, CapturedOrder)
         numbers = (*camera.pixel_from_view(), *camera.window, *camera.resolution, camera.near, camera.far)
-        key = (numbers, self._varies, *(one.key for one in self._shown), *(view.tobytes() for view in views))
+        key = (numbers, self._varies, *(one.content for one in self._shown), *(view.tobytes() for view in views))
         if order.texture is not None and order.key == key:
             return order
         before = time.perf_counter()
         rows, depths, instances = [], [], []
-        first = -float(views[0][2, 3])
+        first = -float(views[0][2, 3]) if views else 0.0
         for one in self._shown:
-            for number in range(one.first, one.first + len(one.instances)):
-                found, depth = captured.seen(one.splats, one.largest, views[number], camera, self._varies)
+            for number, among in enumerate(one.rows, one.first):
+                found, depth = captured.seen(one.splats, one.largest, views[number], camera, self._varies, among)
                 rows.append(found)
                 depths.append(depth + np.float32(-views[number][2, 3] - first))
                 instances.append(np.full(len(found), number, np.int64))
@@ -163,16 +199,30 @@ def _list_texture(device: Device, rows: np.ndarray) -> Texture:
     return device.texture(size, "RG32F", data)
 
 
-def _view_from_splats(prepared: Prepared, one: _Shown, instance: int) -> np.ndarray:
-    """(4, 4) float64 that takes positions relative to the splats' origin to view space."""
-    view = prepared.view_from_object[instance].copy()
-    view[:3, 3] += view[:3, :3] @ one.splats.origin
-    return view
-
-
-def _shown(scope: UploadScope, store: Store, geometry: Geometry, first: int, instances: tuple[int, ...]) -> _Shown:
-    splats = geometry.captured
+def _shown(
+    scope: UploadScope,
+    store: Store,
+    geometry: Geometry,
+    first: int,
+    instances: tuple[int, ...],
+    nodes: CapturedNodes | None,
+) -> list[_Shown]:
+    """The splats of one geometry, and the nodes that stand for some of them; `first`: of all instances."""
+    splats, found = geometry.captured, []
     assert splats is not None
-    page = scope.lookup(Key(Kind.CAPTURED_PAGE, geometry.key), lambda: CapturedPage(scope.device, splats))
-    largest = store.lookup(Key(Kind.LARGEST_SCALES, geometry.key), lambda: captured.bounds_of_scales(splats))
-    return _Shown(geometry.key, splats, page, largest, first, instances)
+    cuts = {} if nodes is None else nodes.cuts
+    rows = {i: cuts[i].splats if i in cuts else None for i in instances}
+    rows = {i: some for i, some in rows.items() if some is None or len(some)}
+    if rows:
+        page = scope.lookup(Key(Kind.CAPTURED_PAGE, geometry.key), lambda: CapturedPage(scope.device, splats))
+        largest = store.lookup(Key(Kind.LARGEST_SCALES, geometry.key), lambda: captured.bounds_of_scales(splats))
+        found.append(_Shown(geometry.key, splats, page, largest, first, tuple(rows), tuple(rows.values())))
+    if nodes is not None:
+        tree = nodes.tree
+        page = scope.lookup(
+            Key(Kind.CAPTURED_NODE_PAGE, geometry.key), lambda: CapturedPage(scope.device, tree.nodes, tree.means)
+        )
+        drawn = tuple(cut.nodes for cut in cuts.values())
+        key, largest = f"{geometry.key} nodes", tree.nodes.scale[:, 2]
+        found.append(_Shown(key, tree.nodes, page, largest, first + len(rows), tuple(cuts), drawn, nodes=True))
+    return found

@@ -84,7 +84,7 @@ class PointUploads:
         sets = list({points.key: points for points in group.values()}.values())
         filled = constants_key(self._scene) if plan.variant.color or plan.variant.emission else b""
         small = plan.sub_samples > 0
-        other = (plan.variant, plan.options.shading_normal, filled, small)
+        other = (plan.variant, plan.options.shading_normal, plan.options.velocity, filled, small)
         key = Key(Kind.PAGE, tuple(p.key for p in sets), other=other)
         return self._scope.lookup(key, lambda: Page(self._scope.device, sets, plan.variant, plan.options, table, small))
 

@@ -20,7 +20,7 @@ class UploadScope:
         self.kept, self.device = kept, kept.device
         self._used = kept.begin()
         self._owned: list[Any] = []
-        self._of_view: list[Texture] = []
+        self._of_view: list[Any] = []
 
     def lookup(self, key: Key, make: Callable[[], Any]) -> Any:
         """Returns what `make` puts on the device, made once for `key`; it stays at least as long as the frame."""
@@ -43,10 +43,15 @@ class UploadScope:
         self._of_view.append(self.device.texture(size, "RGBA32F", data))
         return self._of_view[-1]
 
+    def own_for_view(self, item: Any) -> Any:
+        """Takes an item that is released with the view, and returns it."""
+        self._of_view.append(item)
+        return item
+
     def release_view(self) -> None:
         """Frees what depends on the view alone."""
-        for texture in self._of_view:
-            texture.release()
+        for item in self._of_view:
+            item.release()
         self._of_view.clear()
 
     def release(self) -> None:

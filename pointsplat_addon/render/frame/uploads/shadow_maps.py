@@ -11,13 +11,17 @@ from ....core.lod.cut import cut_of_all_points
 from ....core.numeric.lattice import Lattice
 from ....core.numeric.linear import are_similarities
 from ....core.scene.bounds import box_corners
+from ....core.scene.camera import Camera
 from ....core.scene.scene import Instances, Scene
+from ....core.strand.segments import Segments, concatenate_segments
+from ....core.strand.selection import select
 from ...cache.device_cache import DeviceCache
 from ...cache.keys import Key, Kind
 from ...cache.store import Store
 from ...device.protocol import Device, Texture
 from ...passes.pages.point_page import PointOptions
 from ...passes.shadow.keep_depths import keep_depths
+from ...passes.strands.strand_ids import cover_depths
 from ...passes.uniforms import SampleView, view_of
 from ...passes.visibility.buffer import DepthBuffer
 from ...passes.visibility.polygon_ids import PolygonDepths
@@ -25,14 +29,17 @@ from ...passes.visibility.splat_ids import SplatDepths
 from ...plan.plan import Plan
 from ...prepare.point_sets import Layer, PointSet, coherent_with_foliage, point_counts
 from ...prepare.prepare import Prepared
+from ...shadow.casting import cached_strands
 from ...shadow.map_views import MapView
 from ...shadow.maps import ShadowMaps
 from ..visibility.polygon_draws import polygon_draws
 from .points import PointUploads
 from .polygons import PolygonUploads
 from .scope import UploadScope
+from .strands import StrandUploads
 
 ONE_EACH = Lattice(1, 0)  # a texel is a cell
+TOLERANCE = 1.0  # texels: outlines of strands may move by a share of it
 WIDE_RADIUS = 2.5  # texels: where no splat is wider, none covers more than a compute invocation draws
 
 
@@ -42,13 +49,14 @@ class CasterUploads:
     def __init__(self, kept: DeviceCache, store: Store, scene: Scene, plan: Plan, maps: ShadowMaps) -> None:
         self._scope = UploadScope(kept)
         self.scene = _scene_of_casters(scene, maps)
+        self._store = store
         self.prepared = _all_of(self.scene, store)
         self.plan = replace(
             plan,
             points=self.prepared.cut.splats > 0,
             polygons=len(self.prepared.polygons) > 0,
             spheres=False,
-            lines=False,
+            lines=any(geometry.strands is not None for geometry in self.scene.geometries),
             options=_options(plan.options, self.prepared),
         )
         try:
@@ -88,6 +96,27 @@ class CasterUploads:
         polygons = self._all_polygons[~outside.all(axis=1).any(axis=1)]
         self.prepared = replace(self.prepared, view_from_object=matrices, polygons=polygons)
         self.points.upload_view(self.prepared)
+
+    def look_at_strands(self, view: SampleView) -> StrandUploads:
+        """Uploads what the view that is looked from shows of strands."""
+        prepared = replace(self.prepared, strands=self._segments(self.prepared.view_from_object, view.camera))
+        strands = StrandUploads(self._scope, self._store, self.scene, prepared, self.plan, for_view=True)
+        strands.upload_view(prepared)
+        return strands
+
+    def _segments(self, view_from_object: np.ndarray, camera: Camera) -> dict[int, Segments]:
+        """Returns the segments of strands that a view draws, by geometry row."""
+        found: dict[int, Segments] = {}
+        of_each = self.scene.instances.of_each(len(self.scene.geometries))
+        for row, (geometry, where) in enumerate(zip(self.scene.geometries, of_each, strict=True)):
+            if geometry.strands is None:
+                continue
+            levels = cached_strands(geometry, self._store)
+            parts = [select(levels, view_from_object[i], i, camera, TOLERANCE, ONE_EACH) for i in where.tolist()]
+            parts = [part for part in parts if len(part)]
+            if parts:
+                found[row] = concatenate_segments(parts)
+        return found
 
     def release(self) -> None:
         self._scope.release()
@@ -132,6 +161,9 @@ def _draw_view(
     # Compute shaders compare with what the rasteriser has drawn.
     if splats is not None:
         splats.rasterise(casters.points.draws, seen, shared)
+    if casters.plan.lines and view.across is None:  # lights with a size have strands in their tables
+        strands = casters.look_at_strands(seen)
+        cover_depths(device, strands.draws, depths, seen, strands.instances)
     if casters.plan.polygons:
         polygons = PolygonDepths(device, polygon_draws(device, casters, seen, 0, depths.cells), depths)
         try:
@@ -167,7 +199,8 @@ def _all_of(scene: Scene, store: Store) -> Prepared:
     for row, geometry in enumerate(scene.geometries):
         cloud = geometry.cloud
         if cloud is None:
-            meshes.append(row)
+            if geometry.mesh is not None:
+                meshes.append(row)
             continue
         points = store.lookup(Key(Kind.COHERENT_POINTS, geometry.key), lambda cloud=cloud: coherent_with_foliage(cloud))
         sets[row] = PointSet(Key(Kind.CLOUD, geometry.key), points)

@@ -22,14 +22,23 @@ from .scope import UploadScope
 class StrandUploads:
     """The strands of one frame."""
 
-    def __init__(self, scope: UploadScope, store: Store, scene: Scene, prepared: Prepared, plan: Plan) -> None:
+    def __init__(
+        self,
+        scope: UploadScope,
+        store: Store,
+        scene: Scene,
+        prepared: Prepared,
+        plan: Plan,
+        for_view: bool = False,
+    ) -> None:
+        """`for_view`: segments are released with the view, as its transforms are."""
         self._scope, self._store, self._scene, self._plan = scope, store, scene, plan
         self.draws: list[StrandDraw] = []
         self.instances: dict[str, Texture] = {}  # transforms, by sampler name
         if plan.lines:
             for row, segments in prepared.strands.items():
                 draw = StrandDraw(scope.device, self._page(row), segments, scene.instances.holdout)
-                self.draws.append(scope.own(draw))
+                self.draws.append(scope.own_for_view(draw) if for_view else scope.own(draw))
 
     def upload_view(self, prepared: Prepared) -> None:
         """Uploads the transforms of a view."""

@@ -19,12 +19,14 @@ from ...passes.translucent.strata import (
     DIFFERENCE,
     EXPAND,
     NOWHERE,
+    OPEN_LAYER,
     are_narrow,
     bounds,
     centred_program,
     difference_program,
     expand_program,
     member_texels,
+    open_tiles,
     tiles_by_layer,
     touched_tiles,
     weight_rows,
@@ -144,12 +146,18 @@ class TranslucentLayers:
         members: sub-samples (K,) whose layers these are. `pixels`: of the picture along one of what splats are drawn
         into.
         """
-        lattice, layers = self._targets.buffer.lattice, tiles_by_layer(self._targets.groups.layers, tiles)
+        lattice, groups = self._targets.buffer.lattice, self._targets.groups
+        apart = self._options.open_apart
+        layers = tiles_by_layer(groups.covered if apart else groups.layers, tiles)
         with (
             self._texture(member_texels(lattice, members), "RGBA32F") as texels,
             self._texture(weight_rows(weights, members), "R32F") as rows,
         ):
+            if apart and (where := open_tiles(groups.layers, groups.covered, tiles)).any():
+                self._draw_layer(view, OPEN_LAYER, (texels, rows), shaded, where, pixels)
             for layer, where in enumerate(layers[: len(members)]):
+                if apart and not where.any():
+                    continue
                 self._draw_layer(view, layer, (texels, rows), shaded, where, pixels)
 
     def _draw_layer(
@@ -171,7 +179,7 @@ class TranslucentLayers:
         with self._texture(tiles[..., None], "R32F") as inside, self._texture(outer[..., None], "R32F") as around:
             self._device.clear(self._layers.place_target, (NOWHERE, -1.0, 0.0, 0.0))
             self._run("expand", lambda: self._expand(view, layer, members, shaded, Region(around)))
-            self._blend(view, outer, pixels)
+            self._blend(view, outer, pixels, None if layer == OPEN_LAYER else self._layers.place)
             self._run("difference", lambda: self._subtract(view, members, rows, shaded, Region(inside)))
 
     @contextmanager
@@ -188,7 +196,9 @@ class TranslucentLayers:
         self, view: SampleView, layer: int, members: Texture, shaded: dict[str, Texture], region: Region
     ) -> None:
         targets, groups, buffer = self._targets, self._targets.groups, self._targets.buffer
-        program = expand_program(targets.behind is not None, groups.places is not None, self._centred)
+        program = expand_program(
+            targets.behind is not None, groups.places is not None, self._centred, self._options.open_apart
+        )
         record = view.record(EXPAND, sub_samples=members.size[0], layer=layer, **buffer.values)
         named = {"ps_starts": groups.starts, "ps_places": groups.places, "ps_behind": targets.behind}
         textures = {name: texture for name, texture in named.items() if texture is not None}
@@ -196,17 +206,17 @@ class TranslucentLayers:
         textures |= groups.codes
         region.draw(self._device, program, self._layers.expanded, uniforms=record, textures=textures)
 
-    def _blend(self, view: SampleView, tiles: np.ndarray, pixels: int) -> None:
+    def _blend(self, view: SampleView, tiles: np.ndarray, pixels: int, place: Texture | None) -> None:
         device, layers, lit, around = self._device, self._layers, self._lit, bounds(tiles)
         if self._options.captured:
             view = replace(view, offset=(0.0, 0.0))
         if layers.cut is not None:
             device.clear(layers.cut_target)
         if pixels == 1:
-            self._run("translucent", lambda: lit.draw(layers.blended, view, layers.place, bounds=around, tiles=tiles))
+            self._run("translucent", lambda: lit.draw(layers.blended, view, place, bounds=around, tiles=tiles))
             return
         device.clear(layers.coarse_target)
-        self._run("translucent", lambda: lit.draw(layers.coarse_target, view, layers.place, pixels, around))
+        self._run("translucent", lambda: lit.draw(layers.coarse_target, view, place, pixels, around))
         textures = {"ps_coarse": layers.coarse}
         self._run("enlarge", lambda: device.draw(ENLARGE, layers.blended, textures=textures, over=True))
 

@@ -2,6 +2,7 @@
   position   xyz relative to the geometry's origin; opacity
   rotation   quaternion w, x, y, z
   scale      standard deviations along the splat's own axes
+  means      of nodes alone: core.lod.captured.tree
 and `harmonics`, several texels a splat: its coefficients, channel by channel, degree 0 first.
 """
 
@@ -21,8 +22,8 @@ class CapturedPage:
     """The splats of one geometry on the device; `textures` by sampler name."""
 
     @releases_on_failure
-    def __init__(self, device: Device, splats: CapturedSplats) -> None:
-        """DeviceError: there are more splats than textures hold."""
+    def __init__(self, device: Device, splats: CapturedSplats, means: np.ndarray | None = None) -> None:
+        """means: (N, 3) float32, of nodes (core.lod.captured.tree). DeviceError: textures do not hold all splats."""
         self.count = len(splats)
         self.sh_texels = sh_texels(splats)
         self.sh_shift = sh_shift(device)
@@ -31,6 +32,8 @@ class CapturedPage:
         self._upload("position", splats.position, splats.opacity[:, None])
         self._upload("rotation", splats.rotation)
         self._upload("scale", splats.scale)
+        if means is not None:
+            self._upload("means", means)
         higher = () if splats.sh is None else (splats.sh.reshape(self.count, -1),)
         self._upload("harmonics", splats.base, *higher, texels=self.sh_texels, shift=self.sh_shift)
 

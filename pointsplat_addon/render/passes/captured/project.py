@@ -23,15 +23,18 @@ PROJECT = block(
 )
 
 
-def project_program(options: TranslucentOptions, sh_texels: int, sh_shift: int, antialiased: bool) -> Interface:
-    """Returns the program that projects the splats of one page. `sh_texels`, `sh_shift`: as of the page."""
+def project_program(
+    options: TranslucentOptions, sh_texels: int, sh_shift: int, antialiased: bool, nodes: bool = False
+) -> Interface:
+    """Returns the program that projects the splats of one page. `sh_texels`, `sh_shift`: as of the page.
+    `nodes`: they stand for many splats."""
     named = {"PS_ANTIALIASED": antialiased, "PS_AMONG_OPAQUE": options.opaque, "PS_HOLDOUT": options.holdout}
-    named |= {"PS_TINT": options.tint}
+    named |= {"PS_TINT": options.tint, "PS_NODES": nodes}
     constants = {
         "PS_SH_TEXELS": sh_texels, "PS_SH_SHIFT": sh_shift, "PS_SH_MASK": (1 << sh_shift) - 1,
         "PS_LOW_PASS": LOW_PASS, "PS_LEAST_ALPHA": LEAST_ALPHA,
     }  # fmt: skip
-    read = ("order", "views", "position", "rotation", "scale", "harmonics")
+    read = ("order", "views", "position", "rotation", "scale", "harmonics", *(("means",) if nodes else ()))
     return Interface(
         "captured", fragment="captured/project.frag", block=PROJECT,
         samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in read),

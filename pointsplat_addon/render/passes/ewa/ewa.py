@@ -12,10 +12,12 @@ What `splats` leaves of each drawn element, one texel each:
             one surface with others
   normal    in view space, (0, 0, 0) for a ball; roughness   \\
   color     base colour, metallic                            | where the G-buffer has them
-  emission                                                   /
+  emission                                                   |
+  velocity                                                   /
 What `visibility` leaves of each pixel: depth beyond the near plane (0: nothing), depth up to which splats belong to it,
 material, 2 instance (and 1 where it shows its back).
-What `blend` sums, times weights: depth, material, 1 for front faces, 1; normal; color; emission.
+What `blend` sums, times weights: depth, material, 1 for front faces, 1; normal; color; emission;
+velocity.
 
 Small splats are squares around points, projected affinely. Large ones are rectangles, whose fragments meet the splat's
 plane exactly; only views that may have any draw them.

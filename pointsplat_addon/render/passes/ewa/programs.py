@@ -69,7 +69,8 @@ def programs(variant: Variant, points: PointOptions, ewa: EwaOptions) -> EwaProg
 
 
 def blended_attributes(variant: Variant) -> tuple[str, ...]:
-    return tuple(name for name, _, _ in variant.channels if name in ATTRIBUTES)
+    """Returns the names of what is blended: `ATTRIBUTES`, and the velocity that rides with the owner."""
+    return tuple(n for n, _, _ in variant.channels if n in ATTRIBUTES) + (("velocity",) if variant.velocity else ())
 
 
 def _drawn(variant: Variant, points: PointOptions, ewa: EwaOptions, blend: bool, large: bool) -> Interface:

@@ -151,6 +151,12 @@ class Groups:
         width, height = self._buffer.size
         return (self._counts + self._open).astype(np.int64).reshape(height, width)
 
+    @property
+    def covered(self) -> np.ndarray:
+        """(H, W) int64: how many groups each pixel has, without what is open in it."""
+        width, height = self._buffer.size
+        return self._counts.astype(np.int64).reshape(height, width)
+
     def sort(self, view: SampleView, first_ids: list[int]) -> None:
         """Sorts the list by what draws the groups' leaders, where that pays.
 

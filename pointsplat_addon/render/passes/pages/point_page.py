@@ -7,6 +7,7 @@ A page holds the splats of several point sets. Texture by texture, one texel a s
   surface         roughness, metallic             |
   emission        emitted radiance                |
   shading_normal  packed normal, -1: the splat's  /
+  velocity        object units a frame, where a pass asks for it
 A page of balls alone, all of one material, keeps their radius in the place of the packed normal, and has no extent,
 where the visibility buffer draws it.
 Pages of nodes that stand for several balls (core/lod/balls) hold their shapes instead of extents:
@@ -41,6 +42,7 @@ from .splat_page import (
     position_and_radius,
     row_bounds,
     shading_normal,
+    velocity,
 )
 
 LONG_BLOCK, SHORT_BLOCK = 6, 3  # log2 of the splats in a block: ranges of many splats, and of few
@@ -60,6 +62,7 @@ class PointOptions:
 
     shading_normal: bool = False
     facets: bool = False  # some splats have several normals
+    velocity: bool = False  # a pass asks how splats move, and some do
     cull: bool = False
     holdout: bool = False
     ellipses: bool = False  # some splats are not round
@@ -113,6 +116,8 @@ class Page(SplatPage):
             self.upload("facets", "RGBA32F", [facets(c) for c in clouds])
         if options.shading_normal:
             self.upload("shading_normal", "R32F", [shading_normal(c) for c in clouds])
+        if options.velocity:
+            self.upload("velocity", "RGBA32F", [velocity(c) for c in clouds])
         self.clouds = []
 
 
@@ -196,7 +201,8 @@ def attributes(
     samplers = [*POINT_SAMPLERS]
     if not options.one_instance:
         samplers.append(("FLOAT_2D", "ps_instances"))
-    has = {"ps_color": variant.color, "ps_surface": variant.surface, "ps_emission": variant.emission}
+    has = {"ps_color": variant.color, "ps_surface": variant.surface, "ps_emission": variant.emission,
+           "ps_velocity": variant.velocity}  # fmt: skip
     samplers += [("FLOAT_2D", name) for name, on in has.items() if on]
     if variant.normal:
         kinds = {"ps_shading_normal": options.shading_normal, "ps_facets": options.facets}

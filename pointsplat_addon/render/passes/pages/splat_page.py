@@ -159,6 +159,11 @@ def filled(cloud: PointCloud, name: str, constants: np.ndarray) -> np.ndarray:
     return constants.take(cloud.material, axis=0)
 
 
+def velocity(cloud: PointCloud) -> np.ndarray:
+    """Returns velocities (N, 3), zeros where the cloud has none."""
+    return np.broadcast_to(np.float32(0), (len(cloud), 3)) if cloud.velocity is None else cloud.velocity
+
+
 def shading_normal(cloud: PointCloud) -> Write:
     """Writes (N, 1): packed shading normals, NO_NORMAL where there is none."""
     own = cloud.shading_normal

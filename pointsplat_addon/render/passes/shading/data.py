@@ -34,7 +34,8 @@ def data_program(variant: Variant, passes: frozenset[str]) -> Interface:
     samplers = list(variant.samplers(only=("centre", "shape", "normal", "owner")))
     if "vector" in wanted:
         samplers.append(("FLOAT_2D", "ps_previous"))
-    names = [DATA[name][0] for name in wanted] + (["PS_OWNER"] if variant.owner else [])
+    names = [DATA[name][0] for name in wanted]
+    names += [name for name in ("PS_OWNER", "PS_VELOCITY") if name in variant.defines]
     return Interface(
         "data", fragment="shading/data.frag", block=_block(wanted), samplers=tuple(samplers),
         outputs=tuple(("vec4", DATA[name][1]) for name in wanted),

@@ -16,8 +16,12 @@ SAMPLE_FIELDS: Fields = (("int", "sample_index"),)
 
 def lighting_defines(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
     """Returns the defines of shaders that light. Shadows of wide lights differ from sample to sample: PS_SHADOW_SAMPLE
-    is where the shader finds the sample's number."""
-    return tuple((name, "u.sample_index" if name == "PS_SHADOW_SAMPLE" else "1") for name in lighting)
+    is where the shader finds the sample's number. PS_SHADOW_STRANDS matters where groups of sub-samples are shaded."""
+    return tuple(
+        (name, "u.sample_index" if name == "PS_SHADOW_SAMPLE" else "1")
+        for name in lighting
+        if name != "PS_SHADOW_STRANDS"
+    )
 
 
 def looks_at_points(lighting: tuple[str, ...]) -> bool:

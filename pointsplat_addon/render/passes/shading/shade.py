@@ -97,6 +97,7 @@ def shade_program(
     if grouped and flags["PS_STRANDS"] and looks_at_points(lighting):
         taps += (("PS_SHADOW_SPREAD", "1"), ("PS_POINTS_OF_STRAND", str(POINTS_OF_STRAND)))
     cells = (LATTICE_DEFINE, *member_defines(footprint)) if footprint else ()
+    cells += (("PS_SHADOW_STRANDS", "1"),) if footprint and "PS_SHADOW_STRANDS" in lighting else ()
     return Interface(
         "shade", fragment="shading/shade.frag",
         block=_block(passes, lighting, focus, combined, footprint is not None),

@@ -18,9 +18,12 @@ from ..gbuffer import GBuffer, Variant
 from ..grouping.groups import Groups, Leaders
 from ..uniforms import CAMERA_FIELDS, RECTANGLE_FIELDS, Fields, SampleView, block
 from ..visibility.buffer import (
+    DEPTH_ONLY_DEFINE,
+    DEPTH_OUTPUT,
     LATTICE_DEFINE,
     LATTICE_FIELDS,
     OUTPUTS,
+    DepthBuffer,
     VisibilityBuffer,
     member_defines,
     offset_defines,
@@ -33,6 +36,8 @@ FIRST: Fields = (("int", "first"),)  # entry of the list
 SHARE: Fields = (("ivec2", "cell_offset"), ("uint", "turn"))  # of thin strips: which cells they cover
 TUBE_IDS = block("TubeIds", CAMERA_FIELDS, LATTICE_FIELDS, NUMBERS, FIRST)
 STRIP_IDS = block("StripIds", CAMERA_FIELDS, LATTICE_FIELDS, NUMBERS, FIRST, SHARE)
+TUBE_DEPTHS = block("TubeDepths", CAMERA_FIELDS, LATTICE_FIELDS, FIRST)
+STRIP_DEPTHS = block("StripDepths", CAMERA_FIELDS, LATTICE_FIELDS, FIRST, SHARE)
 SURFACE_FIELDS: Fields = (*RECTANGLE_FIELDS, *NUMBERS, ("int", "count"))
 AVERAGED = tuple(("UINT_2D", name) for name in ("ps_ids", "ps_depths", "ps_keys", "ps_first", "ps_second"))
 
@@ -101,6 +106,35 @@ def ids_program(normal: bool, ribbon: bool, kind: str) -> Interface:
     )
 
 
+def depths_program(ribbon: bool, kind: str) -> Interface:
+    """Returns the program that draws the depth of one kind of segments; see ids_program."""
+    tube = kind == "TUBE"
+    fetched = ["ps_segment_list", "ps_segments", "ps_point", "ps_instances"]
+    fetched += ["ps_tangent"] if tube or (kind == "STRIP" and not ribbon) else []
+    fetched += ["ps_side"] if ribbon and kind == "STRIP" else []
+    varyings = [("flat", "vec4", name) for name in ("v_from", "v_to", "v_begin", "v_end")] if tube else []
+    if not tube:
+        varyings += [("flat", "uint", "v_phase"), ("flat", "int", "v_rows")]
+        varyings += [("smooth", "vec3", "v_position"), ("smooth", "vec2", "v_extent")]
+        varyings += [("flat", "vec3", "v_line")] if kind == "THIN" else []
+    return Interface(
+        "shadow maps",
+        vertex="strands/strand_ids.vert",
+        fragment="strands/strand_ids.frag",
+        block=TUBE_DEPTHS if tube else STRIP_DEPTHS,
+        samplers=tuple(("FLOAT_2D", name) for name in fetched),
+        varyings=tuple(varyings),
+        outputs=DEPTH_OUTPUT,
+        defines=(
+            LATTICE_DEFINE,
+            DEPTH_ONLY_DEFINE,
+            *_kind_defines(ribbon, kind),
+            *((("PS_THIN", "1"),) if kind == "THIN" else ()),
+        ),
+        depth=True,
+    )
+
+
 def surface_program(variant: Variant, lattice: Lattice, ribbon: bool, kind: str, leaders: Leaders) -> Interface:
     """Returns the program that writes the attributes of segments that stand for groups of sub-samples."""
     tube = kind == "TUBE"
@@ -131,6 +165,26 @@ def surface_program(variant: Variant, lattice: Lattice, ribbon: bool, kind: str,
 def _kind_defines(ribbon: bool, kind: str) -> tuple[tuple[str, str], ...]:
     named = {"PS_RIBBON": ribbon, "PS_TUBE": kind == "TUBE"}
     return tuple((name, "1") for name, on in named.items() if on)
+
+
+def cover_depths(
+    device: Device, draws: list[StrandDraw], depths: DepthBuffer, view: SampleView, shared: dict[str, Texture]
+) -> None:
+    """Draws the depths of all segments, nearer than what is there."""
+    for draw in draws:
+        for kind, (_, count) in draw.lists().items():
+            named = StrandKind(draw, kind, 0)
+            program = depths_program(named.ribbon, kind)
+            for first in range(0, count, CHUNK):
+                device.draw(
+                    program,
+                    depths.target,
+                    uniforms=view.record_of(program.block, first=first, cell_offset=(0, 0), turn=0, **depths.values),
+                    textures={**shared, **named.textures},
+                    vertices=(2 if kind == "THIN" else 6) * min(CHUNK, count - first),
+                    primitive="LINES" if kind == "THIN" else "TRIANGLES",
+                    depth_test=True,
+                )
 
 
 @record

@@ -45,6 +45,8 @@ def draw_program(options: TranslucentOptions, channel: str, listed: bool = False
     if options.captured:
         constants = {"PS_MOST_ALPHA": MOST_ALPHA, "PS_LEAST_ALPHA": LEAST_ALPHA}
         defines += [("PS_CAPTURED", "1"), *((name, repr(value)) for name, value in constants.items())]
+    if options.nodes:
+        defines.append(("PS_NODES", "1"))
     if options.tiled:
         read.append("tiles")
         defines += [("PS_TILED", "1"), TILE_DEFINE]
@@ -81,6 +83,12 @@ def depth_program(samplers: tuple[tuple[str, str], ...], normal: bool) -> Interf
 # The coarse picture of a view that moves, over the fine one.
 ENLARGE = Interface(
     "enlarge", fragment="translucent/enlarge.frag", samplers=(("FLOAT_2D", "ps_coarse"),),
+    outputs=(("vec4", "out_color"),),
+)  # fmt: skip
+
+# The picture of captured splats alone, over what lies behind them.
+SHOW = Interface(
+    "translucent", fragment="captured/show.frag", samplers=(("FLOAT_2D", "ps_picture"),),
     outputs=(("vec4", "out_color"),),
 )  # fmt: skip
 

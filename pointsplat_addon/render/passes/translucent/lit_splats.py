@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -68,8 +69,8 @@ class LitSplats:
     ) -> None:
         """Blends the splats over `target`, of which a pixel spans `pixels` of the picture.
 
-        `depth`: of what is opaque, in pixels of the picture. `bounds`: in the picture, what lies outside of them is not
-        wanted. tiles: (rows, columns) bool, in which it is; read where options.tiled.
+        `depth`: of what is opaque, in pixels of the picture; None: nothing is looked up. `bounds`: in the picture, what
+        lies outside of them is not wanted. tiles: (rows, columns) bool, in which it is; read where options.tiled.
         """
         rectangle = (0.0, 0.0, *target.colors[0].size) if bounds is None else tuple(side / pixels for side in bounds)
         where = {"turn": (1 / pixels, 0.0), "origin": (0.0, 0.0), "place": 1 / pixels, "bounds": rectangle}
@@ -116,8 +117,11 @@ class LitSplats:
         listed: Mapping[str, Texture],
     ) -> None:
         textures = {**self.textures, **self._profiles, **({} if depth is None else {"ps_depth": depth}), **listed}
+        options = replace(self._options, opaque=self._options.opaque and depth is not None)
+        if not options.opaque:
+            textures.pop("ps_front", None)
         for channel in self._channels:
-            program = draw_program(self._options, channel, "ps_listed" in listed)
+            program = draw_program(options, channel, "ps_listed" in listed)
             for first in range(0, count, CHUNK):
                 record = view.record_of(program.block, size=target.colors[0].size, first=first, **where)
                 vertices = (3 if self._options.alone else 6) * min(CHUNK, count - first)

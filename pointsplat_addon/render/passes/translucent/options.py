@@ -28,12 +28,18 @@ class TranslucentOptions:
     strands: bool = False  # some of these splats are pieces of strands: core/lens/strand_splats.py
     captured: bool = False  # some are captured splats: passes/captured; then all are looked at in pixels' centres
     alone: bool = False  # and there are no others
+    nodes: bool = False  # and some are nodes that stand for many: core/lod/captured
 
     @property
     def centred(self) -> bool:
         """Whether all are looked at in pixels' centres. Coloured extinction has three transmittances: what blending
         changes is then told by what it began with."""
         return self.captured and not self.tint
+
+    @property
+    def open_apart(self) -> bool:
+        """Whether what is open is a layer that is blended apart from others: nothing opaque is looked up for it."""
+        return self.alone and self.grouped and not self.holdout
 
     @property
     def tiled(self) -> bool:
@@ -54,10 +60,11 @@ def options(
     defocus: bool = False,
     grouped: bool = False,
     captured: bool = False,
+    nodes: bool = False,
 ) -> TranslucentOptions:
     """Returns the options that these clouds need. `opaque`: something opaque is drawn, too. `holdout`: an instance of
     them cuts a hole. `defocus`: for what is out of focus. `grouped`: they are drawn among groups of sub-samples.
-    `captured`: captured splats are among them."""
+    `captured`: captured splats are among them, and `nodes` that stand for many of these."""
     fuzzy = any(is_fuzzy(c) for c in clouds)
     return TranslucentOptions(
         media=any(c.extinction is not None for c in clouds),
@@ -78,6 +85,7 @@ def options(
         strands=defocus and any(is_fuzzy(c) and c.kernel is not None for c in clouds),
         captured=captured,
         alone=captured and not clouds,
+        nodes=nodes,
     )
 
 

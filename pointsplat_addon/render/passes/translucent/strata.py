@@ -25,6 +25,7 @@ from .options import TranslucentOptions
 
 NARROW = 1.0  # pixels: standard deviation of the narrower axis below which splats are looked at in all sub-samples
 FINEST_KERNEL = 3.0  # how many times as fine as the default kernel others may be
+OPEN_LAYER = -1  # what is open, where it is a layer apart: TranslucentOptions.open_apart
 NOWHERE = -1e30  # depth of pixels over which nothing is blended: shaders/lib/translucent/place.glsl
 EXPAND = block("Expand", CAMERA_FIELDS, LATTICE_FIELDS, (("int", "sub_samples"), ("int", "layer")))
 DIFFERENCE = block("Difference", (("int", "sub_samples"), ("int", "neighbours")))
@@ -37,13 +38,13 @@ ADD_TILE = Interface(
 CODES = (("UINT_2D", "ps_first"), ("UINT_2D", "ps_second"))
 
 
-def expand_program(behind: bool, places: bool, empty: bool = False) -> Interface:
+def expand_program(behind: bool, places: bool, empty: bool = False, apart: bool = False) -> Interface:
     """Returns the program that writes a layer of each pixel and its depth.
 
     `behind`: open sub-samples show something. `places`: the list of groups is not in the order of the pixels. `empty`:
-    blending begins with nothing, and what is opaque is not written.
+    blending begins with nothing, and what is opaque is not written. `apart`: what is open is the layer OPEN_LAYER.
     """
-    flags = {"PS_BEHIND": behind and not empty, "PS_PLACES": places and not empty, "PS_EMPTY": empty}
+    flags = {"PS_BEHIND": behind and not empty, "PS_PLACES": places and not empty, "PS_EMPTY": empty, "PS_APART": apart}
     shown = ("ps_starts", "ps_combined", *(("ps_behind",) if behind else ()), *(("ps_places",) if places else ()))
     read = ("ps_members", *(() if empty else shown))
     return Interface(
@@ -132,6 +133,14 @@ def touched_tiles(
     for sign, x, y in ((1, low, low), (-1, high, low), (-1, low, high), (1, high, high)):
         corners += sign * np.bincount(y[:, 1] * columns + x[:, 0], minlength=columns * rows)
     return corners.reshape(rows, columns).cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0
+
+
+def open_tiles(layers: np.ndarray, covered: np.ndarray, tiles: np.ndarray) -> np.ndarray:
+    """Returns which of tiles (rows, columns) bool have pixels that are open in part.
+
+    layers, covered: (H, W) int, of groups with and without what is open.
+    """
+    return tiles_by_layer(layers - covered, tiles)[0]
 
 
 def tiles_by_layer(layers: np.ndarray, tiles: np.ndarray) -> list[np.ndarray]:

@@ -1,0 +1,104 @@
+"""Captured splats of a view: which instances are drawn, and which of them by nodes that stand for many splats."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...core.lod.captured.cut import CapturedCut, cut_captured
+from ...core.lod.captured.gain import splats_a_pixel
+from ...core.lod.captured.tree import CapturedTree, build_captured_tree
+from ...core.numeric.record import record
+from ...core.scene.scene import Geometry, Scene
+from ...core.splat.captured import bounds_of_scales
+from ..cache.keys import Key, Kind
+from .view import View
+
+MIN_SPLATS = 1 << 15  # fewer are drawn as soon as they are cut
+# Small ones, of which nodes are drawn: a pixel shows four cells of each surface, and cells hold four splats and more.
+SPLATS_PER_PIXEL = 100.0
+BUILD_COST = 3  # building costs about as much as drawing the splats this many times, at most
+WORTHWHILE = 0.5  # of the splats: a cut of more is not drawn
+
+
+@record
+class CapturedNodes:
+    """The instances of one geometry that are drawn by nodes."""
+
+    tree: CapturedTree
+    cuts: dict[int, CapturedCut]  # by instance
+
+
+def captured_instances(scene: Scene, usable: np.ndarray) -> tuple[int, ...]:
+    """Returns the instances of captured splats, (I,) bool of which may be drawn, those of one geometry together."""
+    of_each = scene.instances.of_each(len(scene.geometries), usable)
+    shown = (
+        rows.tolist()
+        for geometry, rows in zip(scene.geometries, of_each, strict=True)
+        if geometry.captured is not None and len(geometry.captured)
+    )
+    return tuple(row for rows in shown for row in rows)
+
+
+def captured_nodes(view: View, instances: tuple[int, ...], view_from_object: np.ndarray) -> dict[int, CapturedNodes]:
+    """Returns, by row of geometries, what is drawn by nodes: instances that show many splats in each pixel.
+
+    In an interactive view nodes are built on another thread, and all splats are drawn until they are there. In other
+    views they are built where they are wanted a second time, or for many instances: building takes as long as
+    drawing all splats one to two and a half times.
+    """
+    found: dict[int, CapturedNodes] = {}
+    for row in dict.fromkeys(view.scene.instances.geometry[list(instances)].tolist()):
+        geometry = view.scene.geometries[row]
+        where = [i for i in instances if view.scene.instances.geometry[i] == row]
+        nodes = _nodes_of(view, geometry, where, view_from_object)
+        if nodes is not None:
+            found[row] = nodes
+    return found
+
+
+def _nodes_of(
+    view: View, geometry: Geometry, instances: list[int], view_from_object: np.ndarray
+) -> CapturedNodes | None:
+    splats, store, tolerance = geometry.captured, view.store, view.settings.tolerance
+    assert splats is not None
+    if len(splats) < MIN_SPLATS:
+        return None
+    largest = store.lookup(Key(Kind.LARGEST_SCALES, geometry.key), lambda: bounds_of_scales(splats))
+    views = {i: view_from_splats(view_from_object[i], splats.origin) for i in instances}
+    dense = {
+        i: matrix
+        for i, matrix in views.items()
+        if splats_a_pixel(splats, largest, matrix, view.camera, tolerance) > SPLATS_PER_PIXEL
+    }
+    if not dense:
+        return None
+    view.check()
+    key, asked = (Key(kind, geometry.key) for kind in (Kind.CAPTURED_TREE, Kind.CAPTURED_TREE_ASKED_FOR))
+    if view.interactive and key not in store:
+        store.make_later(key, lambda: build_captured_tree(splats))
+        return None
+    if key not in store and asked not in store and len(dense) < BUILD_COST:
+        store.lookup(asked, tuple)
+        return None
+    tree = store.lookup(key, lambda: build_captured_tree(splats))
+    cuts = {i: cut_captured(tree, matrix, view.camera, tolerance) for i, matrix in dense.items()}
+    cuts = {i: cut for i, cut in cuts.items() if len(cut) <= WORTHWHILE * len(splats)}
+    return CapturedNodes(tree, cuts) if cuts else None
+
+
+def view_from_splats(view_from_object: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """(4, 4) float64 that takes positions relative to the splats' origin to view space."""
+    view = view_from_object.copy()
+    view[:3, 3] += view[:3, :3] @ origin
+    return view
+
+
+def count_captured(scene: Scene, instances: tuple[int, ...], nodes: dict[int, CapturedNodes]) -> int:
+    """Returns how many splats and nodes all instances draw."""
+    total = 0
+    for instance in instances:
+        row = int(scene.instances.geometry[instance])
+        splats = scene.geometries[row].captured
+        cut = nodes[row].cuts.get(instance) if row in nodes else None
+        total += len(splats or ()) if cut is None else len(cut)
+    return total
