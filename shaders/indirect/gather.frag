@@ -1,6 +1,6 @@
 // Gathers what a receiver sees of the light tree, and of the sky behind it, without a random number (Christensen 2008;
 // Ritschel et al. 2009). One texel a receiver; its layout: render/passes/indirect/gather.py.
-//   out_diffuse: irradiance / pi; harmonic mean distance to what is seen
+//   out_diffuse: irradiance / pi
 //   out_glossy: mean radiance of surfaces over the lobe around the mirrored view, and the share of the lobe that is open
 // A walk meets near nodes first. A node is opened until it is smaller than a cell; then it covers as much of the cells under it
 // as it is large: what surfaces cover adds up, so that they are tight; leaves and hairs hide each other as if they lay there by
@@ -11,12 +11,13 @@
 #include "lib/indirect/hemisphere.glsl"
 
 #define PS_STACK 128
-#define PS_LEAST_SIDE 0.5  // cells: half the side of what a piece covers at least
+#define PS_MOST_NODES 20000  // that a walk opens: software rasterisers end all loops together after 65,535 turns
 #define PS_FINENESS 3.0  // parts of a near leaf along its side, times how far away it is, over that
 #define PS_MOST_PARTS 12
 // Squares of pieces tile cells unevenly: above the first share of a cell, what is open is closed faster, so many times.
 #define PS_GAPS 0.9
 #define PS_TIGHTENED 1.0
+// How large nodes may be whose surfaces are turned to all sides, over those that are flat: one mean radiance stands for all.
 #define PS_TURNED 0.25
 #define PS_ABOVE 0.05  // radii of a leaf above the receiver's plane from which on it is seen
 #define PS_SKY_ROUGHNESS 0.4  // of the world's picture that is as blurred as a cell is wide
@@ -36,7 +37,6 @@ float ps_inside[PS_CELLS * PS_CELLS];  // covered by surfaces that are seen from
 struct PsGathered {
   vec3 diffuse;
   vec3 glossy;
-  float nearness;  // sum of weights over distances
 };
 
 // Weight of a direction in the lobe around the mirrored view, both with z along the normal.
@@ -55,7 +55,6 @@ void ps_add_glossy(inout PsGathered sum, vec3 radiance, float solid_angle, vec3 
 // A piece of surface as a receiver sees it.
 struct PsSeen {
   vec3 direction;  // unit
-  float distance;
   vec3 radiance;  // of what faces the receiver
   float front, back;  // solid angles of what faces the receiver, and of what does not
 };
@@ -80,20 +79,19 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   vec3 radiance = (entered * seen.radiance + seen_back * (look.scattered ? seen.radiance : look.inside)) / max(whole, 1e-20);
   ps_light[i] += radiance * (covers * cell * seen.direction.z);
   ps_add_glossy(sum, radiance, covers * cell, seen.direction, lobe);
-  sum.nearness += covers * cell * seen.direction.z / seen.distance;
 }
 
-// A piece covers a square of cells as large as it seems; it is smaller than a cell.
+// A piece is smaller than a cell, and counts as a square of a cell's size around it: cells are then covered more evenly than by
+// squares of its own size.
 void ps_deposit(inout PsGathered sum, PsSeen seen, PsNodeLook look, vec4 lobe)
 {
   float cell = ps_cell_solid_angle(seen.direction);
-  float half_side = clamp(0.5 * sqrt((seen.front + seen.back) / cell), PS_LEAST_SIDE, 0.5);
   vec2 centre = ps_cell_from_direction(seen.direction);
-  vec2 low = clamp(centre - half_side, vec2(0.0), vec2(PS_CELLS)), high = clamp(centre + half_side, vec2(0.0), vec2(PS_CELLS));
+  vec2 low = clamp(centre - 0.5, vec2(0.0), vec2(PS_CELLS)), high = clamp(centre + 0.5, vec2(0.0), vec2(PS_CELLS));
   vec2 sides = max(high - low, 1e-6);
   float share = 1.0 / (sides.x * sides.y);
   ivec2 first = ivec2(low);
-  // Without a loop: software rasterisers count the turns of all loops of an invocation, and end them at 65,535.
+  // Without a loop, whose turns would count.
   ps_cover(sum, first, low, high, share, cell, seen, look, lobe);
   ps_cover(sum, first + ivec2(1, 0), low, high, share, cell, seen, look, lobe);
   ps_cover(sum, first + ivec2(0, 1), low, high, share, cell, seen, look, lobe);
@@ -129,10 +127,10 @@ void main()
     ps_light[i] = vec3(0.0);
     ps_inside[i] = 0.0;
   }
-  PsGathered sum = PsGathered(vec3(0.0), vec3(0.0), 0.0);
+  PsGathered sum = PsGathered(vec3(0.0), vec3(0.0));
   int stack[PS_STACK];
   stack[0] = u.root;
-  int size = 1;
+  int size = 1, opened = 0;
   while (size > 0) {
     size--;
     int number = stack[size];
@@ -146,7 +144,8 @@ void main()
     vec3 local = vec3(dot(offset, tangent), dot(offset, across), max(height, 0.0)) / d;
     float cell = ps_cell_solid_angle(local);
     float largest = min(PS_PI * node.radius * node.radius, 2.0 * node.area) / d2;
-    if (node.first >= 0 && (d < 1.5 * node.radius || largest > u.coarseness * cell * ps_sameness(node)) && size < PS_STACK - 8) {
+    opened++;
+    if (node.first >= 0 && opened < PS_MOST_NODES && (d < 1.5 * node.radius || largest > u.coarseness * cell * ps_sameness(node)) && size < PS_STACK - 8) {
       // Where the receiver lies, seen from the node; the children there come first, those opposite last.
       int own = (offset.x < 0.0 ? 1 : 0) | (offset.y < 0.0 ? 2 : 0) | (offset.z < 0.0 ? 4 : 0);
       PS_PUSH(7) PS_PUSH(6) PS_PUSH(5) PS_PUSH(4) PS_PUSH(3) PS_PUSH(2) PS_PUSH(1) PS_PUSH(0)
@@ -189,7 +188,6 @@ void main()
       seen.front = (both + signed_area) * angle;
       seen.back = (both - signed_area) * angle;
       seen.direction = normalize(vec3(dot(to, tangent), dot(to, across), max(rises, 0.25 * top)));
-      seen.distance = away;
       seen.radiance = toward > 0.0 ? look.before : look.behind;
       ps_deposit(sum, seen, look, lobe);
     }
@@ -231,5 +229,5 @@ void main()
     }
   }
   out_glossy = vec4(sum.glossy, open_lobe) / max(whole_lobe, 1e-20);
-  out_diffuse = vec4(sum.diffuse / whole, sum.nearness / whole);
+  out_diffuse = vec4(sum.diffuse / whole, 1.0);
 }

@@ -1,5 +1,5 @@
 // What groups of a list receive, from receivers in the tiles of pixels around each: one texel a group.
-//   out_gathered: irradiance / pi; share of the hemisphere that is open
+//   out_gathered: irradiance / pi
 //   out_mirrored: mean radiance of surfaces over the glossy lobe; share of the lobe that is open
 // A receiver counts the more the nearer it is in the picture, the less it lies off the group's plane and the more alike their
 // normals are.

@@ -13,8 +13,8 @@ MULTIPLIERS = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 def is_closed(mesh: Mesh) -> bool:
     """Tells whether each edge has as many triangles that run along it as there are against it.
 
-    Vertices at one place count as one. Each edge adds a hash of its ends where it is run along one way, and takes it away
-    the other way: the sum is 0 for closed, evenly oriented meshes, and for others with a probability of 2^-64.
+    Vertices at one place count as one. Each edge adds a hash of its ends where it is run along one way, and takes it
+    away where the other: the sum is 0 for closed, evenly oriented meshes, and for others with a probability of 2^-64.
     """
     if len(mesh.triangles) == 0:
         return False

@@ -136,10 +136,9 @@ def _with_look(mesh: Mesh, table: MaterialTable, made: LightSamples, kind: tuple
     assert cloud.value is not None
     kept = cloud.value.astype(np.int64)
     albedo, emission = _look(cloud, table)
-    return Surfels(
-        np.zeros(3), made.position[kept].astype(np.float32), made.normal[kept].astype(np.float32), made.area[kept].astype(np.float32),
-        *(np.full(len(kept), flag) for flag in kind), albedo, emission,
-    )  # fmt: skip
+    position, normal, area = (of[kept].astype(np.float32) for of in (made.position, made.normal, made.area))
+    closed, scattered = (np.full(len(kept), flag) for flag in kind)
+    return Surfels(np.zeros(3), position, normal, area, closed, scattered, albedo, emission)
 
 
 def _of_cloud(cloud: PointCloud, table: MaterialTable, matrix: np.ndarray, density: Density) -> Surfels:
@@ -209,8 +208,8 @@ def _none() -> Surfels:
 
 
 def _look(cloud: PointCloud, table: MaterialTable) -> tuple[np.ndarray, np.ndarray]:
-    """What points scatter of light, and what they emit, (N, 3) float32 each: the diffuse lobe alone, as of surfaces that
-    are seen by way of others."""
+    """What points scatter of light, and what they emit, (N, 3) float32 each: the diffuse lobe alone, as of surfaces
+    that are seen by way of others."""
     rows = np.zeros(len(cloud), np.uint16) if cloud.material is None else np.minimum(cloud.material, len(table) - 1)
     color = table.base_color[rows] if cloud.color is None else cloud.color
     surface = np.stack([table.roughness, table.metallic], axis=1)[rows] if cloud.surface is None else cloud.surface

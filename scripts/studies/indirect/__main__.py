@@ -3,7 +3,7 @@
     python -m scripts.studies.indirect --data DIR --folder WORK [--only NAMES] [--size 320x180] [--truth 512]
         [--settings NAME=VALUE ...]
 
-WORK keeps what was drawn: Cycles' pictures that are there are not drawn again. It receives NAME.png: PointSplat, Cycles, and
+WORK keeps what was drawn: Cycles' pictures that are there are not drawn again. NAME.png are PointSplat's, Cycles', and
 four times their difference about grey. The table goes to stdout.
 """
 
@@ -31,7 +31,7 @@ GAIN = 4.0
 def drawn(
     file: Path, program: Program, seed: int, folder: Path, settings: dict, again: bool = False
 ) -> tuple[np.ndarray, dict]:
-    """(H, W, 4) and what drawing it took; drawn in a process of its own if it is not there. RuntimeError: it could not be."""
+    """(H, W, 4) and what drawing it took, in a process of its own, if it is not there. RuntimeError: it was not."""
     path = folder / f"{file.stem}-{program.name}-{program.samples}-{seed}.exr"
     found: dict = {}
     if again or not path.exists():
@@ -59,8 +59,8 @@ def main() -> None:
     for name in options.only.split(","):
         file = folder / f"{name}-{wide}x{high}.blend"
         if not file.exists():
-            command = [sys.executable, "-m", "scripts.studies.indirect.scenes", name, str(file), "--data", str(options.data.resolve()),
-                       "--size", f"{wide}x{high}"]  # fmt: skip
+            module, data = "scripts.studies.indirect.scenes", str(options.data.resolve())
+            command = [sys.executable, "-m", module, name, str(file), "--data", data, "--size", f"{wide}x{high}"]
             subprocess.run(command, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
         try:
             truth = [drawn(file, Program("CYCLES", options.truth // 2), seed, folder, {})[0][..., :3] for seed in SEEDS]
@@ -73,9 +73,9 @@ def main() -> None:
         exposure = 0.3 / mean.mean()
         errors = [exposure * figures.rmse(x[..., :3], *truth) for x in (own, plain)]
         ratio = own[..., :3].mean(dtype=float) / mean.mean()
-        sys.stdout.write(
-            f"| {name} | {mean.mean():.3f} | {errors[0]:.4f} | {errors[1]:.4f} | {ratio:.3f} | {took['seconds']:.2f} |\n"
-        )
+        seconds = f"{took['seconds']:.2f}"
+        figures_of = (f"{mean.mean():.3f}", *(f"{error:.4f}" for error in errors), f"{ratio:.3f}", seconds)
+        sys.stdout.write(f"| {' | '.join((name, *figures_of))} |\n")
         sys.stdout.flush()
         shown = [displayed(np.dstack([exposure * x[..., :3], np.ones(x.shape[:2])])) for x in (own, mean)]
         sheet = [*shown, np.clip(0.5 + GAIN * (shown[0] - shown[1]), 0, 1)]

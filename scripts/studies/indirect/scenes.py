@@ -2,8 +2,7 @@
 
     python -m scripts.studies.indirect.scenes NAME FILE.blend --data DIR [--size 320x180]
 
-DIR holds real meshes and scans. Each scene's bounces, between which and Cycles' there is no difference, are 3; the exposure
-is 0 and lights are such that pictures have a mean of about 0.3.
+DIR holds real meshes and scans. Light bounces three times, in Cycles without clamps and caustics.
 """
 
 from __future__ import annotations

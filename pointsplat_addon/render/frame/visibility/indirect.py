@@ -30,8 +30,8 @@ class GroupsInIndirectLight:
     def gather(self, view: SampleView, surfaces: GBuffer, listed: Texture, entries: np.ndarray) -> dict[str, Texture]:
         """Returns what shading reads, by sampler name.
 
-        `surfaces`: attributes of the groups. `listed`: the list of groups, and `entries` (N, 2): pixel and layer of each
-        of them.
+        `surfaces`: attributes of the groups. `listed`: the list of groups, and `entries` (N, 2): pixel and layer of
+        each of them.
         """
         device = self._device
         if self._lists is None or self._lists.size != listed.size:
@@ -88,8 +88,8 @@ class GroupsInIndirectLight:
 
 
 def lobe_sharpness(roughness: np.ndarray) -> np.ndarray:
-    """(N,): of the spherical Gaussian that is about as wide as a GGX lobe around the mirrored view (Wang et al. 2009), at
-    most as sharp as cells resolve."""
+    """(N,): of the spherical Gaussian that is about as wide as a GGX lobe around the mirrored view (Wang et al. 2009),
+    at most as sharp as cells resolve."""
     alpha = np.maximum(np.clip(roughness, 0, 1).astype(np.float64) ** 2, 1e-3)
     return np.minimum(0.5 / alpha**2, SHARPEST)
 

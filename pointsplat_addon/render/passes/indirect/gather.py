@@ -33,7 +33,7 @@ class Gather:
     def __init__(
         self, device: Device, receivers: Texture, program: Interface, record: np.ndarray, textures: dict[str, Texture]
     ) -> None:
-        """Gathers at once; `receivers` as of pages.receiver_texture, `record` and `textures`: what the program reads."""
+        """Gathers at once. `receivers`: as of receiver_texture; `record`, `textures`: what the program reads."""
         self.size = (RECEIVER_WIDTH, receivers.size[1])
         self.diffuse, self.glossy = (device.texture(self.size, "RGBA32F") for _ in OUTPUTS)
         self._target = device.target([self.diffuse, self.glossy])

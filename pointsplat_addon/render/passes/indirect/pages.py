@@ -19,8 +19,8 @@ def node_texture(device: Device, tree: LightTree, radiance: np.ndarray) -> Textu
     """Returns the texture of nodes; radiance: (3, M, 3), as of LightTree.radiance.
 
     texel 0  place and radius of the node
-          1  area; its first child, or -1; its octants, 8 bits, whether it is scattered, 1 bit, how far normals lie along the
-             axis, 6 bits; the axis
+          1  area; its first child, or -1; its octants, 8 bits, whether it is scattered, 1 bit, and how far normals lie
+             along the axis, 6 bits; the axis
           2  direction and length of `facing`; radiance before, in two numbers
           3  radiance behind and inside, in two numbers each
     """

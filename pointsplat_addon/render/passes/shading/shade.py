@@ -85,7 +85,8 @@ def shade_program(
     read += FOOTPRINT_SAMPLERS if footprint else ()
     read += INDIRECT_SAMPLERS if indirect else ()
     flags = {"PS_COVERAGE": coverage, "PS_STRANDS": lines and variant.normal, "PS_FOCUS": focus,
-             "PS_AUXILIARY_ONLY": not combined, "PS_GROUPED": grouped, "PS_FOOTPRINT": footprint is not None, "PS_INDIRECT": indirect,
+             "PS_AUXILIARY_ONLY": not combined, "PS_GROUPED": grouped, "PS_FOOTPRINT": footprint is not None,
+             "PS_INDIRECT": indirect,
              "PS_COARSE": coarse and any("SHADOW" in name for name in lighting)}  # fmt: skip
     names = (*variant.defines, *materials, *averaged_defines(passes), *(name for name, on in flags.items() if on))
     # A sample of groups is a whole picture: it looks at all points, but only where the first ones disagree.
