@@ -9,6 +9,7 @@ from scripts.scenes.awkward_cases import far_away, inside, not_finite, scales
 from scripts.scenes.captured_cases import captured_alone, captured_among, captured_in_smoke
 from scripts.scenes.case import Case
 from scripts.scenes.detailed_cases import foliage, many_towers, split_mesh, strands
+from scripts.scenes.indirect_cases import among_balls_and_strands, in_a_corner
 from scripts.scenes.lit_cases import emission, environment, lights
 from scripts.scenes.solid_cases import (
     balls,
@@ -48,6 +49,8 @@ CASES: dict[str, Callable[[], Case]] = {
         holdout,
         environment,
         lights,
+        in_a_corner,
+        among_balls_and_strands,
         inside,
         far_away,
         scales,

@@ -16,7 +16,7 @@
 #define PS_MOST_PARTS 12
 // Squares of pieces tile cells unevenly: above the first share of a cell, what is open is closed faster, so many times.
 #define PS_GAPS 0.9
-#define PS_TIGHTENED 1.0
+#define PS_TIGHTENED 3.0
 // How large nodes may be whose surfaces are turned to all sides, over those that are flat: one mean radiance stands for all.
 #define PS_TURNED 0.25
 #define PS_ABOVE 0.05  // radii of a leaf above the receiver's plane from which on it is seen
@@ -76,7 +76,7 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   float open = 1.0 - ps_covered[i], covers = look.scattered ? (1.0 - exp(-whole)) * open : min(whole, open);
   ps_covered[i] += covers;
   ps_weight[i] += covers * cell * seen.direction.z;
-  vec3 radiance = (entered * seen.radiance + seen_back * (look.scattered ? seen.radiance : look.inside)) / max(whole, 1e-20);
+  vec3 radiance = (entered * seen.radiance + seen_back * (look.scattered ? seen.radiance : look.inside)) / max(whole, 1e-30);
   ps_light[i] += radiance * (covers * cell * seen.direction.z);
   ps_add_glossy(sum, radiance, covers * cell, seen.direction, lobe);
 }
@@ -140,7 +140,7 @@ void main()
     if (height + node.radius <= 0.0) {
       continue;
     }
-    float d2 = max(dot(offset, offset), 1e-24), d = sqrt(d2);
+    float d2 = max(dot(offset, offset), 1e-36), d = sqrt(d2);
     vec3 local = vec3(dot(offset, tangent), dot(offset, across), max(height, 0.0)) / d;
     float cell = ps_cell_solid_angle(local);
     float largest = min(PS_PI * node.radius * node.radius, 2.0 * node.area) / d2;
@@ -164,7 +164,7 @@ void main()
     if (node.first < 0 && look.along > 0.5) {
       float side_length = sqrt(node.area);
       float nearest = max(abs(dot(look.axis, offset)), d - 0.7 * side_length);
-      parts = int(clamp(ceil(PS_FINENESS * side_length / max(nearest, 1e-20)), 1.0, float(PS_MOST_PARTS)));
+      parts = int(clamp(ceil(PS_FINENESS * side_length / max(nearest, 1e-30)), 1.0, float(PS_MOST_PARTS)));
       vec3 f = look.axis;
       along = normalize(abs(f.z) < 0.7 ? vec3(f.y, -f.x, 0.0) : vec3(0.0, f.z, -f.y));
       beside = cross(f, along) * side_length;
@@ -179,8 +179,8 @@ void main()
       if (top <= 0.0) {
         continue;
       }
-      float above = clamp(top / max(2.0 * of_part, 1e-20), 0.0, 1.0);
-      float away2 = max(dot(to, to), 1e-24), away = sqrt(away2);
+      float above = clamp(top / max(2.0 * of_part, 1e-30), 0.0, 1.0);
+      float away2 = max(dot(to, to), 1e-36), away = sqrt(away2);
       float signed_area = -dot(look.facing, to) / away, toward = -dot(look.axis, to) / away;
       float both = max(look.along * abs(toward) + 0.5 * (1.0 - look.along), abs(signed_area));
       float angle = 0.5 * above * area / (away2 + area / (2.0 * PS_PI));
@@ -228,6 +228,6 @@ void main()
       sum.diffuse += sky * left_weight;
     }
   }
-  out_glossy = vec4(sum.glossy, open_lobe) / max(whole_lobe, 1e-20);
+  out_glossy = vec4(sum.glossy, open_lobe) / max(whole_lobe, 1e-30);
   out_diffuse = vec4(sum.diffuse / whole, 1.0);
 }

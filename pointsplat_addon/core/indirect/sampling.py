@@ -1,8 +1,8 @@
 """Samples of meshes from which light is gathered: as dense as a view needs, and denser where it looks from near.
 
 A triangle is cut into congruent parts, each with a sample in its middle, so that the samples of a surface tile it.
-Smaller triangles are taken together, in Morton order, as long as they are worth one sample and turned one way: their
-areas add up to the whole.
+Smaller triangles are taken together, in Morton order, up to what is worth one sample, where they lie side by side and
+are turned one way: their areas add up to the whole.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ MOST_CUTS = 24  # times that a triangle is halved
 MOST_PARTS = 1 << 20  # of all triangles of a mesh
 SLIVER = 8.0  # square of the longest edge over the area, from which on a triangle is cut to the length of its samples
 TURNED_ONE_WAY = 0.9  # length of the mean of unit normals, below which triangles are not taken together
+COMPACT = 0.5  # variance of places over the area, above which they are not either: of a square it is a sixth
 REFINEMENTS, FINER = 4, 4.0  # times that groups of triangles turned several ways are divided; into so many
 Spacing = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
@@ -167,22 +168,38 @@ def _merged(middle: np.ndarray, normal: np.ndarray, area: np.ndarray, worth: np.
         return _Merged(np.zeros(0, np.int64), none, none, np.zeros(0))
     order, _ = sorted_by_code(morton_codes(middle.T.astype(np.float32))[0])
     area, worth = area[order], worth[order].copy()
-    columns = np.vstack([area, middle[:, order] * area, normal[:, order] * area])
+    centre = middle.mean(axis=1, keepdims=True)
+    middle = middle[:, order] - centre
+    columns = np.vstack([area, middle * area, normal[:, order] * area, dot(middle, middle) * area])
     for again in range(REFINEMENTS + 1):
         group = np.floor(np.cumsum(worth) - 0.5 * worth)
         new = np.append(True, group[1:] != group[:-1])
-        first = np.flatnonzero(new)
-        sums = np.add.reduceat(columns, first, axis=1)
-        length = np.sqrt(dot(sums[4:], sums[4:]))
-        turned = length < TURNED_ONE_WAY * sums[0]
-        if again == REFINEMENTS or not turned.any():
+        first, sums, length, apart = _groups(columns, new)
+        if not apart.any():
             break
-        finer = turned[np.cumsum(new) - 1]
-        worth[finer] = np.minimum(worth[finer] * FINER, 1.0)
+        several = apart[np.cumsum(new) - 1]
+        if again < REFINEMENTS:
+            worth[several] = np.minimum(worth[several] * FINER, 1.0)
+        else:
+            # What is left stays by itself.
+            first, sums, length, _ = _groups(columns, new | several)
     own = normal[:, order[first]]
-    facing = np.where(length > 1e-3 * sums[0], sums[4:] / np.maximum(length, 1e-300), own)
+    facing = np.where(length > 1e-3 * sums[0], sums[4:7] / np.maximum(length, 1e-300), own)
     middle_row = (first + np.append(first[1:], len(order))) // 2
-    return _Merged(order[middle_row], (sums[1:4] / sums[0]).T, facing.T, sums[0])
+    return _Merged(order[middle_row], (sums[1:4] / sums[0] + centre).T, facing.T, sums[0])
+
+
+def _groups(columns: np.ndarray, new: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Groups of triangles: where they begin, sums over them, lengths of summed normals, and which are not to be groups.
+
+    columns (8, M): area, and times it place, normal and squared place. new (M,) bool: where groups begin.
+    """
+    first = np.flatnonzero(new)
+    sums = np.add.reduceat(columns, first, axis=1)
+    length = np.sqrt(dot(sums[4:7], sums[4:7]))
+    spread = sums[7] / sums[0] - dot(sums[1:4], sums[1:4]) / sums[0] ** 2
+    several = np.diff(np.append(first, len(new))) > 1
+    return first, sums, length, several & ((length < TURNED_ONE_WAY * sums[0]) | (spread > COMPACT * sums[0]))
 
 
 def _ellipses(weights: np.ndarray, scale: np.ndarray) -> np.ndarray:

@@ -2,8 +2,8 @@
 
 A node holds what a distant receiver needs of its surfels: their mean place and the radius around it, the area, the sum
 of area times normal (Bunnell 2005; Christensen 2008), the axis that most normals lie along, either way, and how far
-they do. Cells with one child only are left out. Children follow one another, in the order of their octants, so that a walk
-meets the near ones first.
+they do. Cells with one child only are left out. Children follow one another, in the order of their octants, so that a
+walk meets the near ones first.
 """
 
 from __future__ import annotations

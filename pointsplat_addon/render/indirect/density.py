@@ -41,9 +41,9 @@ class Density:
             wide = margin * self._focal[0]
             seen = np.ones(len(depth), bool)
         else:
-            away = np.maximum(np.sqrt(x * x + y * y + z * z) - margin, 1e-12)
+            away = np.maximum(np.sqrt(x * x + y * y + z * z) - margin, 1e-30)
             size = away / self._focal[0]
-            forward = np.maximum(depth, 1e-12)
+            forward = np.maximum(depth, 1e-30)
             px, py = self._middle[0] + self._focal[0] * x / forward, self._middle[1] + self._focal[1] * y / forward
             wide = margin * self._focal[0] / forward
             seen = depth > -margin

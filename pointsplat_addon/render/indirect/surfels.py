@@ -96,7 +96,7 @@ def _of_instances(
     """The surfels of many instances: those of about one distance share samples."""
     low, high = mesh.position.min(axis=0), mesh.position.max(axis=0)
     middle, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    scale = np.abs(np.linalg.det(matrices[:, :3, :3])) ** (1 / 3)
+    scale = _scale(matrices)
     place = matrices[:, :3, :3] @ middle + matrices[:, :3, 3]
     spacing, _ = density.spacing(place.T, margin=radius * scale)
     octave = np.floor(np.log2(np.maximum(spacing, 1e-30) / np.maximum(scale, 1e-30)))
@@ -118,7 +118,7 @@ def _moved(surfels: Surfels, matrix: np.ndarray) -> Surfels:
     normal = surfels.normal @ cofactors.T
     length = np.linalg.norm(normal, axis=1)
     round_ones = ~surfels.normal.any(axis=1)
-    grown = np.where(round_ones, np.abs(np.linalg.det(linear)) ** (2 / 3), length)
+    grown = np.where(round_ones, _scale(matrix) ** 2, length)
     flip = np.sign(np.linalg.det(linear)) or 1.0
     return replace(
         surfels,
@@ -149,7 +149,7 @@ def _of_cloud(cloud: PointCloud, table: MaterialTable, matrix: np.ndarray, densi
     flat = cloud.normal is not None and bool(cloud.normal.any())
     area = np.pi * radii[:, 0].astype(np.float64) * radii[:, -1] * (1.0 if flat else 4.0)
     apart, _ = density.spacing(place.T)
-    worth = np.minimum(area / (1.0 if flat else 4.0) / apart**2, 1.0)
+    worth = np.minimum(area / (1.0 if flat else 4.0) * (_scale(matrix) / apart) ** 2, 1.0)
     ends = np.cumsum(worth)
     count = max(round(float(ends[-1])), 1)
     rows = np.minimum(np.searchsorted(ends, (np.arange(count) + 0.5) * ends[-1] / count), len(cloud) - 1)
@@ -175,7 +175,7 @@ def _of_strands(strands: Strands, table: MaterialTable, matrix: np.ndarray, dens
     area = 2 * np.pi * radius * length
     middle = 0.5 * (a + b)
     apart, _ = density.spacing((middle @ matrix[:3, :3].T + matrix[:3, 3]).T)
-    scale = abs(np.linalg.det(matrix[:3, :3])) ** (1 / 3)
+    scale = float(_scale(matrix))
     worth = np.minimum(area / 4 * scale**2 / apart**2, 1.0)
     total = np.cumsum(worth)
     if len(total) == 0 or not total[-1] > 0:
@@ -199,6 +199,11 @@ def _of_strands(strands: Strands, table: MaterialTable, matrix: np.ndarray, dens
         emission,
     )
     return _moved(local, matrix)
+
+
+def _scale(matrices: np.ndarray) -> np.ndarray:
+    """(...): by how much transforms (..., 4, 4) make things larger, on average; exact where that is a power of two."""
+    return np.sqrt((matrices[..., :3, :3] ** 2).sum(axis=(-2, -1)) / 3)
 
 
 def _none() -> Surfels:

@@ -41,7 +41,7 @@ from .auxiliary import auxiliary_picture
 from .lens_view import camera_of_whole_lens
 from .make_plan import ViewToPlan, make_plan
 from .plan import Plan
-from .reasons import Absences, why_no_eye_dome
+from .reasons import Absences, why_no_eye_dome, why_no_indirect
 from .request import Request
 from .technique import Technique, TechniqueInput, confirm_technique, decide_technique
 
@@ -193,6 +193,7 @@ def make_frame_plan(
         out_of_view,
         "" if defocus_blur(camera) is None or through_lens else "nothing is out of focus",
         LENS_SAMPLES_BLUR if through_lens else why_not_blurred(scene, camera),
+        why_no_indirect(request.settings, request.interactive, technique.name),
         why_no_eye_dome(request.settings, technique.name, _has_opaque(prepared), prepared.out_of_focus is not None),
     )
     ewa = technique.name == "EWA"

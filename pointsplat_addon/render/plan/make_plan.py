@@ -249,7 +249,7 @@ def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
 def _indirect(view: ViewToPlan, kinds: _Kinds) -> bool:
     """Whether surfaces hide the world from each other, or send each other light."""
     scene, settings = view.scene, view.request.settings
-    drawn = settings.use_indirect and view.picture and view.sub_samples > 0 and kinds.solid and view.reflects
+    drawn = not view.absences.indirect and view.picture and view.sub_samples > 0 and kinds.solid and view.reflects
     emits = bool((scene.materials.emission > 0).any()) or any(
         isinstance(graph, MaterialGraph) and "emission" in graph.channels for graph in scene.materials.graphs
     )

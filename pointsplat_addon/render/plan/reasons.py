@@ -87,7 +87,7 @@ class Absences:
     out_of_view: Mapping[str, str] = field(default_factory=dict)  # by kind of things (render/prepare/in_view.py)
     out_of_focus: str = ""  # beyond that the camera has no depth of field
     blurred_world: str = "the camera has no depth of field"
-    indirect: str = "indirect light is switched off"
+    indirect: str = "indirect light is switched off"  # beyond that nothing sends any
     eye_dome: str = "eye-dome lighting is switched off"
 
 
@@ -120,12 +120,21 @@ def reasons(plan: Plan, passes: frozenset[str], absences: Absences) -> dict[str,
     if not plan.background:
         found["background"] = "the pass defocus draws the world" if plan.defocus else "the film is transparent"
     if not plan.indirect:
-        found |= dict.fromkeys(("light tree", "gather"), absences.indirect)
+        found |= dict.fromkeys(("light tree", "gather"), absences.indirect or "nothing that is drawn would scatter it")
     if not plan.eye_dome:
         found["eye dome"] = absences.eye_dome
     if not plan.defocus:
         found |= dict.fromkeys(("tiles", "defocus"), absences.out_of_focus or "the camera has no depth of field")
     return found | _of_translucent(plan, not unshadowed, unseen.get("translucent", "nothing is translucent"))
+
+
+def why_no_indirect(settings: Settings, interactive: bool, technique: str) -> str:
+    """Returns why a picture has no indirect light; empty where it has, if there is any."""
+    if not settings.use_indirect:
+        return "indirect light is switched off"
+    if interactive:
+        return "views that move have none"
+    return "" if technique == "VISIBILITY" else f"the technique {technique} has no groups for it"
 
 
 def why_no_eye_dome(settings: Settings, technique: str, opaque: bool, out_of_focus: bool) -> str:

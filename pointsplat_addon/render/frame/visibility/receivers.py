@@ -31,15 +31,15 @@ def choose_receivers(place: np.ndarray, up: np.ndarray, pixel: np.ndarray, view:
     columns, rows = -(-width // side), -(-height // side)
     tile = (y // side) * columns + x // side
     focal = view.camera.pixel_from_view()[0]
-    depth = np.maximum(place[:, 3].astype(np.float64), 1e-12)
+    depth, there = place[:, 3].astype(np.float64), place[:, 3] != 0
     if view.camera.perspective:
-        far = np.floor(np.log(depth) * (focal / (DEPTHS * side)))
+        nearest = depth[there].min(initial=np.inf)
+        far = np.floor(np.log(np.where(there, depth / nearest, 1.0)) * (focal / (DEPTHS * side)))
     else:
-        far = np.floor(place[:, 3].astype(np.float64) * (focal / (DEPTHS * side)))
+        far = np.floor(depth * (focal / (DEPTHS * side)))
     far = (far - far.min()).astype(np.int64) & 0xFFFF
     turn = np.clip(np.floor((up[:, :3] * 0.999 + 1) * TURNS).astype(np.int64), 0, 2 * TURNS - 1)
     turned = (turn[:, 0] * 2 * TURNS + turn[:, 1]) * 2 * TURNS + turn[:, 2]
-    there = place[:, 3] != 0
     key = (tile << 23) | (far << 7) | turned
     middle = 0.5 * (side - 1)
     away = ((x % side - middle) ** 2 + (y % side - middle) ** 2).astype(np.int64)

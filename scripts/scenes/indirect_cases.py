@@ -1,0 +1,45 @@
+"""Cases with indirect light: in a corner by a sun and a sky; among balls and strands by what glows and by a picture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import World
+from scripts.scenes.build import materials, mesh, moved, points, scene, strand_lines, sun
+from scripts.scenes.cameras import camera
+from scripts.scenes.case import Case
+from scripts.scenes.clouds import sphere_cloud
+from scripts.scenes.lit_cases import environment
+from scripts.scenes.meshes import cube_mesh, plane_mesh
+
+SETTINGS = Settings(technique="VISIBILITY", use_indirect=True, bounces=2)
+LAID = np.array([[1.0, 0, 0, 0], [0, 0, -1, -0.8], [0, 1, 0, 0], [0, 0, 0, 1]])  # planes stand upright
+
+
+def in_a_corner() -> Case:
+    """A cube on a floor before a wall."""
+    table = materials(2, base_color=[[0.7, 0.7, 0.7], [0.7, 0.1, 0.1]])
+    block = replace(cube_mesh("red cube", 0.8), materials=(1,), material=np.full(12, 1, np.uint16))
+    floor, wall = (mesh(plane_mesh(name, 4.0), "POLYGONS") for name in ("floor", "wall"))
+    things = ((floor, LAID @ moved((0, 0, 0.4))), (wall, moved((0, 1.2, 0))), (mesh(block, "POLYGONS"), moved()))
+    lit = scene(*things, lights=[sun(2.0)], world=World(np.array([0.3, 0.4, 0.6])), table=table)
+    return Case(lit, camera((0.4, -3.0, 0.6)), SETTINGS)
+
+
+def among_balls_and_strands() -> Case:
+    """A glowing cube beside balls, under strands and a picture of the sky."""
+    table = materials(2, emission=[[0, 0, 0], [2.0, 1.0, 0.3]], roughness=[0.3, 0.5])
+    block = replace(cube_mesh("glowing cube", 0.5), materials=(1,), material=np.full(12, 1, np.uint16))
+    x = np.linspace(-1.2, 1.2, 12)
+    lines = strand_lines("strands over balls", [np.array([[a, -0.6, 1.0], [a, 0.6, 1.1]]) for a in x], 0.02)
+    things = (
+        (points("balls in a glow", replace(sphere_cloud(), normal=None)), moved((-0.5, 0, 0), 0.7)),
+        (mesh(block, "POLYGONS"), moved((0.7, 0, -0.2))),
+        (lines, moved()),
+        (mesh(plane_mesh("floor under a glow", 4.0), "POLYGONS"), LAID),
+    )
+    lit = scene(*things, lights=(), world=environment().scene.world, table=table)
+    return Case(lit, camera((0.4, -3.0, 0.8)), SETTINGS)

@@ -1,0 +1,64 @@
+"""Samples for light: their areas add up to the mesh, they lie on it, and are as far apart as they are asked to be."""
+
+import numpy as np
+import pytest
+
+from pointsplat_addon.core.indirect.closed import is_closed
+from pointsplat_addon.core.indirect.sampling import light_samples
+from pointsplat_addon.core.surface.triangles import triangle_areas
+from scripts.scenes import meshes
+
+
+def even(apart: float):
+    return lambda place: (np.full(place.shape[1], apart), np.full(place.shape[1], np.inf))
+
+
+def from_eye(eye: np.ndarray, share: float):
+    def spacing(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        away = np.linalg.norm(place - eye[:, None], axis=0)
+        return share * away, away
+
+    return spacing
+
+
+@pytest.mark.parametrize("mesh", [meshes.cube_mesh("cube"), meshes.sphere_mesh("sphere", 64)], ids=["cube", "sphere"])
+@pytest.mark.parametrize("apart", [0.5, 0.1, 0.03, 0.01])
+def test_areas_add_up_and_lie_on_the_mesh(mesh, apart):
+    """Worst: 4e-12 of the area; half a spacing from the surface, where triangles are taken together."""
+    made = light_samples(mesh, even(apart), 0.0)
+    whole = triangle_areas(mesh, np.arange(len(mesh.triangles))).sum()
+    assert abs(made.area.sum() / whole - 1) < 1e-9
+    assert np.allclose(np.linalg.norm(made.normal, axis=1), 1)
+    number = whole / apart**2
+    assert min(number, len(mesh.triangles)) * 0.4 < len(made.area) < 4 * number + len(mesh.triangles)
+    half = np.abs(mesh.position).max()
+    if mesh.name == "cube":
+        off = np.abs(np.abs(made.position).max(axis=1) - half)
+    else:
+        off = np.abs(np.linalg.norm(made.position, axis=1) - half)
+    assert off.max() < max(0.5 * apart, 0.002)
+
+
+def test_samples_are_denser_near_the_eye():
+    """A floor seen from a height of 1: at the distance r, samples are r / 20 apart, and up to twice as dense."""
+    mesh, eye = meshes.plane_mesh("floor", 20.0), np.array([0.0, -1.0, 0.0])
+    made = light_samples(mesh, from_eye(eye, 0.05), 0.0)
+    assert abs(made.area.sum() / 1600 - 1) < 1e-9
+    away = np.linalg.norm(made.position - eye, axis=1)
+    ratio = np.sqrt(made.area) / (0.05 * away)
+    assert ratio.min() > 0.4
+    assert ratio.max() < 1.3
+
+
+def test_closed_meshes_are_known():
+    cube = meshes.cube_mesh("cube")
+    assert is_closed(cube)
+    assert not is_closed(meshes.plane_mesh("plane"))
+    assert not is_closed(cube.take(np.arange(11)))
+    turned = cube.triangles.copy()
+    turned[0] = turned[0, ::-1]
+    assert not is_closed(type(cube)("turned", "turned", cube.position, turned))
+    apart = type(cube)(
+        "apart", "apart", cube.position[cube.triangles.ravel()], np.arange(36, dtype=np.int32).reshape(12, 3)
+    )
+    assert is_closed(apart)

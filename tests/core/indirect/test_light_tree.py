@@ -1,0 +1,87 @@
+"""The light tree: nodes hold what their surfels do, and tell their two sides apart."""
+
+import numpy as np
+import pytest
+
+from pointsplat_addon.core.indirect.surfels import Surfels
+from pointsplat_addon.core.indirect.tree import LightTree, build_tree
+
+
+def random_surfels(count: int, seed: int = 1) -> Surfels:
+    rng = np.random.default_rng(seed)
+    normal = rng.normal(size=(count, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    f = np.float32
+    return Surfels(
+        np.zeros(3), rng.normal(size=(count, 3)).astype(f), normal.astype(f), rng.uniform(0.5, 2, count).astype(f),
+        np.ones(count, bool), rng.uniform(size=count) < 0.3, np.zeros((count, 3), f), np.zeros((count, 3), f),
+    )  # fmt: skip
+
+
+def descendants(tree: LightTree) -> np.ndarray:
+    """(M, M) bool: which leaves lie below each node, by following first children and octants."""
+    below = np.zeros((len(tree), len(tree)), bool)
+    below[np.arange(len(tree)), np.arange(len(tree))] = tree.first < 0
+    for nodes, _, _ in tree.levels:
+        for node in nodes.tolist():
+            children = tree.first[node] + np.arange(int(tree.octants[node]).bit_count())
+            below[node] = below[children].any(axis=0)
+    return below
+
+
+@pytest.mark.parametrize("count", [1, 2, 9, 300])
+def test_nodes_hold_their_surfels(count):
+    """Worst: 4e-7 of the areas and places, 1e-6 outside of the radius."""
+    surfels = random_surfels(count)
+    tree = build_tree(surfels)
+    below = descendants(tree)
+    assert below[-1][tree.leaf].all()
+    held = below[:, tree.leaf]
+    area = surfels.area.astype(float)
+    np.testing.assert_allclose(tree.area, held @ area, rtol=2e-6)
+    for found, of in ((tree.position, surfels.position), (tree.facing, surfels.normal)):
+        np.testing.assert_allclose(found, held @ (area[:, None] * of) / (held @ area)[:, None], atol=2e-6)
+    away = np.linalg.norm(surfels.position[None] - tree.position[:, None], axis=2) + np.sqrt(area / np.pi)
+    assert (np.where(held, away, 0) <= tree.radius[:, None] * (1 + 1e-5)).all()
+
+
+def test_surfels_in_one_place_share_a_leaf():
+    surfels = random_surfels(5)
+    tree = build_tree(Surfels(surfels.origin, surfels.position * 0, *(getattr(surfels, name) for name in NAMES)))
+    assert len(tree) == 1
+    assert tree.first[0] == -1
+    np.testing.assert_allclose(tree.area[0], surfels.area.sum(), rtol=1e-6)
+
+
+NAMES = ("normal", "area", "closed", "scattered", "albedo", "emission")
+
+
+def test_a_thin_wall_shines_by_each_side():
+    """A wall of two sheets, one bright and one dark: no node that holds both mixes them."""
+    y, z = (a.ravel() for a in np.meshgrid(np.arange(8.0), np.arange(8.0)))
+    sheet = np.stack([0 * y, y, z], axis=1)
+    position = np.concatenate([sheet + np.array([0.1, 0, 0]), sheet - np.array([0.1, 0, 0])]).astype(np.float32)
+    normal = np.repeat(np.array([[1, 0, 0], [-1, 0, 0]], np.float32), 64, axis=0)
+    zero, no = np.zeros((128, 3), np.float32), np.zeros(128, bool)
+    surfels = Surfels(np.zeros(3), position, normal, np.ones(128, np.float32), ~no, no, zero, zero)
+    bright = np.repeat(np.array([[1.0], [0.0]]), 64, axis=0) * np.ones(3)
+    tree = build_tree(surfels)
+    before, behind, _ = tree.radiance(surfels, bright, zero)[:, -1]
+    toward = tree.axis[-1] @ np.array([1, 0, 0])
+    assert abs(toward) > 1 - 1e-6
+    assert np.allclose([before, behind] if toward > 0 else [behind, before], [np.ones(3), np.zeros(3)])
+    assert tree.along[-1] > 1 - 1e-6
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_radiance_keeps_what_leaves_in_all(seed):
+    """Of surfels that send as much to either side, each mean of a node's two sides lies between its surfels'."""
+    surfels = random_surfels(200, seed)
+    value = np.random.default_rng(seed).uniform(size=(200, 3))
+    tree = build_tree(surfels)
+    before, behind, inside = tree.radiance(surfels, value, value)
+    for side in (before, behind, inside):
+        assert (side >= 0).all()
+        assert (side <= value.max() + 1e-6).all()
+    mean = (surfels.area[:, None] * value).sum(axis=0) / surfels.area.sum()
+    np.testing.assert_allclose(inside[-1], mean, rtol=1e-5)

@@ -1,0 +1,176 @@
+"""What receivers gather from the light tree against closed forms."""
+
+import numpy as np
+import pytest
+
+from pointsplat_addon.core.indirect.surfels import Surfels
+from pointsplat_addon.core.indirect.tree import build_tree
+from pointsplat_addon.core.light.light_table import light_texture
+from pointsplat_addon.core.scene.world import World
+from pointsplat_addon.render.passes.indirect.gather import GATHER_BLOCK, Gather, gather_program
+from pointsplat_addon.render.passes.indirect.pages import node_texture, packed_radiance, receiver_texture
+from scripts.scenes import drawing
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def surfels_of(position: np.ndarray, normal: np.ndarray, area: np.ndarray, scattered: bool = False) -> Surfels:
+    count, f = len(position), np.float32
+    none = np.zeros((count, 3), f)
+    return Surfels(
+        np.zeros(3), position.astype(f), normal.astype(f), np.broadcast_to(area, count).astype(f), np.ones(count, bool),
+        np.full(count, scattered), none, none,
+    )  # fmt: skip
+
+
+def joined(*parts: Surfels) -> Surfels:
+    names = ("position", "normal", "area", "closed", "scattered", "albedo", "emission")
+    return Surfels(np.zeros(3), *(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+def ball(count: int, radius: float, height: float) -> Surfels:
+    z = 1 - 2 * (np.arange(count) + 0.5) / count
+    turn = np.pi * (1 + 5**0.5) * (np.arange(count) + 0.5)
+    normal = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
+    return surfels_of(radius * normal + height * UP, normal, np.array(4 * np.pi * radius**2 / count))
+
+
+def wall(cells: int, axis: int, sign: float, outward: float = -1.0) -> Surfels:
+    """A side of the cube from -1 to 1; outward: 1 where its normals point away from the middle."""
+    at = (np.arange(cells) + 0.5) / cells * 2 - 1
+    first, second = (a.ravel() for a in np.meshgrid(at, at))
+    position, normal = np.zeros((2, cells**2, 3))
+    others = [a for a in range(3) if a != axis]
+    position[:, others[0]], position[:, others[1]], position[:, axis] = first, second, sign
+    normal[:, axis] = outward * sign
+    return surfels_of(position, normal, np.array(4 / cells**2))
+
+
+def room(cells: int, outward: float = -1.0) -> Surfels:
+    return joined(*(wall(cells, axis, sign, outward) for axis in range(3) for sign in (1.0, -1.0)))
+
+
+def gathered(
+    surfels: Surfels,
+    radiance: np.ndarray,
+    position: np.ndarray,
+    normal: np.ndarray,
+    sky: float = 0.0,
+    coarseness: float = 1.0,
+) -> np.ndarray:
+    """(N,): irradiance over pi at places with normals (N, 3); radiance: of surfels, (n,), the same on both sides."""
+    device = drawing.opengl().device
+    tree = build_tree(surfels)
+    sides = np.repeat(radiance[:, None], 3, axis=1)
+    nodes = node_texture(device, tree, tree.radiance(surfels, sides, sides))
+    rows = light_texture((), World(np.full(3, sky)), np.eye(4))
+    lights = device.texture((rows.shape[1], rows.shape[0]), "RGBA32F", rows.reshape(-1))
+    normal = np.broadcast_to(normal, position.shape)
+    receivers = receiver_texture(device, position, normal, normal, np.ones(len(position)))
+    record = GATHER_BLOCK.record(view_from_world=np.eye(4), root=len(tree) - 1, coarseness=coarseness)
+    world, textures = (("PS_HAS_WORLD",), {"ps_lights": lights}) if sky else ((), {})
+    found = Gather(device, receivers, gather_program(world, glossy=False), record, {"ps_nodes": nodes, **textures})
+    result = device.read(found.diffuse).reshape(-1, 4)[: len(position), 0].astype(float)
+    for item in (found, receivers, lights, nodes):
+        item.release()
+    return result
+
+
+def along(count: int, far: float) -> tuple[np.ndarray, np.ndarray]:
+    """Distances from the middle (N,), and places on a plane (N, 3) in a spiral."""
+    away, turn = np.linspace(0, far, count), np.linspace(0, 50, count)
+    return away, np.stack([away * np.cos(turn), away * np.sin(turn), 0 * away], axis=1)
+
+
+@pytest.mark.parametrize("count", [1000, 30_000])
+@pytest.mark.parametrize(("coarseness", "most", "worst"), [(1.0, 0.004, 0.02), (0.5, 0.003, 0.015)])
+def test_a_ball_hides_the_sky_from_a_plane(count, coarseness, most, worst):
+    """A ball of radius R at the height h hides R^2 h / d^3 of a plane's sky at the distance d. Found: root mean square
+    0.0024 and worst 0.0113 at 1, 0.0018 and 0.0110 at 0.5."""
+    away, place = along(600, 6.0)
+    floor = surfels_of(*floor_arrays(20.0, 60))
+    surfels = joined(ball(count, 1.0, 1.5), floor)
+    found = gathered(surfels, np.zeros(len(surfels)), place, UP, 1.0, coarseness)
+    error = found - (1 - 1.5 / (away**2 + 1.5**2) ** 1.5)
+    assert np.sqrt((error**2).mean()) < most
+    assert np.abs(error).max() < worst
+
+
+def floor_arrays(size: float, cells: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    at = ((np.arange(cells) + 0.5) / cells - 0.5) * size
+    x, y = (a.ravel() for a in np.meshgrid(at, at))
+    position = np.stack([x, y, 0 * x], axis=1)
+    return position, np.broadcast_to(UP, position.shape), np.array((size / cells) ** 2)
+
+
+def test_a_plane_has_its_whole_sky():
+    """Its own surfels hide nothing of it. Worst: 0."""
+    _, place = along(200, 6.0)
+    surfels = surfels_of(*floor_arrays(20.0, 60))
+    assert np.abs(gathered(surfels, np.zeros(len(surfels)), place, UP, 1.0) - 1).max() < 1e-4
+
+
+@pytest.mark.parametrize("outward", [-1.0, 1.0], ids=["inward", "outward"])
+@pytest.mark.parametrize("cells", [40, 120])
+def test_a_closed_room_lets_nothing_in(cells, outward):
+    """Of a sky outside, more than a spacing from the corners; also where normals point away. Worst: 0.0082."""
+    _, place = along(300, 1 - 2.5 / cells)
+    surfels = room(cells, outward)
+    leaked = gathered(surfels, np.zeros(len(surfels)), place - UP * (1 - 1e-4), UP, 1.0)
+    assert leaked.max() < 0.01
+
+
+@pytest.mark.parametrize("outward", [-1.0, 1.0], ids=["inward", "outward"])
+def test_an_even_glow_is_as_bright_everywhere(outward):
+    """In a closed room whose walls all send 1, every receiver gets 1: within a percent away from walls, and 4 % at half
+    a spacing from them. Found: 0.9966 and 1.0033; 0.9625."""
+    cells = 100
+    surfels, spacing = room(cells, outward), 2 / cells
+    inner = np.stack([1 - np.geomspace(spacing, 1, 60), np.full(60, 0.123), np.full(60, 1e-4 - 1)], axis=1)
+    found = gathered(surfels, np.ones(len(surfels)), inner, UP)
+    assert np.abs(found - 1).max() < 0.01
+    near = np.array([[1 - 0.5 * spacing, 0.123, 1e-4 - 1]])
+    assert abs(gathered(surfels, np.ones(len(surfels)), near, UP)[0] - 1) < 0.04
+
+
+def perpendicular(a: float, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Form factor of a rectangle from a corner of which a small plane lies at the distance a, parallel to an edge: the
+    rectangle stands upright beyond it, b wide and c high (Howell's B-4)."""
+    x, y = np.asarray(b) / a, np.asarray(c) / a
+    root = np.sqrt(1 + y * y)
+    return (np.arctan(x) - np.arctan(x / root) / root) / (2 * np.pi)
+
+
+@pytest.mark.parametrize("spacings", [0.5, 2.0, 10.0, 40.0])
+def test_a_wall_lights_the_floor_before_it(spacings):
+    """Against the form factor of a wall that stands on the floor. Worst: 3.6 % at half a spacing, 2 % beyond."""
+    cells = 100
+    surfels = wall(cells, 0, 1.0)
+    apart = spacings * 2 / cells
+    place = np.array([[1 - apart, 0.2, -1.0]])
+    truth = perpendicular(apart, np.array([0.8, 1.2]), np.array(2.0)).sum()
+    found = gathered(surfels, np.ones(len(surfels)), place, UP)[0]
+    assert abs(found / truth - 1) < 0.05
+
+
+def test_a_thin_wall_keeps_light_apart():
+    """A wall a tenth of the spacing thick, bright on the far side: nothing of that comes through. Worst: 0.0009."""
+    cells = 40
+    near, far = wall(cells, 0, 1.0), wall(cells, 0, 1.0, outward=1.0)
+    shift = np.array([0.1 * 2 / cells, 0, 0], np.float32)
+    far = surfels_of(far.position + shift, far.normal, far.area)
+    surfels = joined(near, far)
+    radiance = np.repeat([0.0, 1.0], cells**2)
+    place = np.stack([np.linspace(-1, 1 - 2 / cells, 100), np.full(100, 0.1), np.full(100, -1.0)], axis=1)
+    assert gathered(surfels, radiance, place, UP).max() < 0.005
+
+
+def test_radiance_is_packed_to_a_few_thousandths():
+    rng = np.random.default_rng(1)
+    values = rng.uniform(size=(1000, 3)) * 10.0 ** rng.uniform(-20, 20, (1000, 1))
+    codes = packed_radiance(values)
+    assert (codes == codes.astype(np.float32)).all()
+    exponent = codes[:, 0] // 4096
+    steps = np.stack([codes[:, 0] % 4096, codes[:, 1] // 4096, codes[:, 1] % 4096], axis=1)
+    found = steps * 2.0 ** (exponent[:, None] - 1036)
+    assert (np.abs(found - values) <= values.max(axis=1, keepdims=True) / 4095).all()
