@@ -8,9 +8,9 @@ from mathutils import Matrix
 
 from pointsplat_addon.host.convert.objects import collect
 from pointsplat_addon.host.sync import Synchronizer
-from tests.blender.test_point_sequences import frames, imported
 from tests.support import files
 from tests.support.blender.scenes import pointcloud
+from tests.support.blender.sequences import frames, imported
 
 pytestmark = pytest.mark.usefixtures("empty_file")
 
