@@ -228,6 +228,8 @@ void main()
       sum.diffuse += sky * left_weight;
     }
   }
+#ifdef PS_GLOSSY
   out_glossy = vec4(sum.glossy, open_lobe) / max(whole_lobe, 1e-30);
+#endif
   out_diffuse = vec4(sum.diffuse / whole, 1.0);
 }

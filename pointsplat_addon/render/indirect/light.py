@@ -13,7 +13,7 @@ from ...core.numeric.morton import morton_codes
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
 from ..device.protocol import Device, Texture
-from ..passes.indirect.gather import COARSENESS, GATHER_BLOCK, Gather, gather_program
+from ..passes.indirect.gather import COARSENESS, Gather, gather_program
 from ..passes.indirect.pages import node_texture, receiver_texture
 from ..passes.indirect.surfel_light import lit_surfels
 
@@ -113,13 +113,16 @@ class IndirectLight:
         assert self._nodes is not None
         rotation = np.eye(4)
         rotation[:3, :3] = self._camera.view_from_world[:3, :3]
-        record = GATHER_BLOCK.record(view_from_world=rotation, root=len(self.tree) - 1, coarseness=COARSENESS)
+        program = gather_program(self._world, glossy)
+        assert program.block is not None
+        values = {"view_from_world": rotation, "root": len(self.tree) - 1, "coarseness": COARSENESS}
+        record = program.block.record(**{name: values[name] for _, name in program.block.fields})
         wanted = {"ps_lights", "ps_environment"} if self._world else set()
         textures = {name: texture for name, texture in self._textures.items() if name in wanted}
         if self._world == ("PS_HAS_WORLD",):
             textures.pop("ps_environment", None)
         textures |= {"ps_nodes": self._nodes}
-        return Gather(self._device, receivers, gather_program(self._world, glossy), record, textures)
+        return Gather(self._device, receivers, program, record, textures)
 
     def _set_light(self, leaving: np.ndarray) -> None:
         """`leaving` (2, N, 3): radiance that leaves surfels, outside and inside."""

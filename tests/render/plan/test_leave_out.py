@@ -101,6 +101,8 @@ EXPECTED = {
     "visibility buffer, many polygons behind a wall": "occlusion polygons background " + GROUPED,
     "visibility buffer, a far crowd": "cover background " + GROUPED,
     "visibility buffer, polygons, eye-dome lighting": "polygons background eye+dome " + GROUPED,
+    "indirect light in a corner": "shadow+maps light+tree gather polygons background " + GROUPED,
+    "indirect light among balls and strands": "light+tree gather cover polygons lines background " + GROUPED,
     "EWA": EWA + SEEN,
     "EWA, adaptive": "adapt " + EWA + SEEN,
     "EWA among polygons": "polygons " + EWA + SEEN,

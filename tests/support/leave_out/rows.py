@@ -19,6 +19,7 @@ from scripts.scenes import (
     captured_cases,
     detailed_cases,
     drawing,
+    indirect_cases,
     lit_cases,
     solid_cases,
     translucent_cases,
@@ -175,6 +176,8 @@ ROWS: dict[str, Row] = {
     "visibility buffer, polygons, eye-dome lighting": Row(
         lambda: with_settings(solid_cases.cube(), technique="VISIBILITY", use_eye_dome=True)
     ),
+    "indirect light in a corner": Row(indirect_cases.in_a_corner),
+    "indirect light among balls and strands": Row(indirect_cases.among_balls_and_strands),
     "EWA": Row(lambda: with_settings(solid_cases.sphere(), technique="EWA")),
     "EWA, adaptive": Row(lambda: with_settings(solid_cases.sphere(), technique="EWA"), samples=16),
     "EWA among polygons": Row(lambda: with_settings(solid_cases.mixed(), technique="EWA")),

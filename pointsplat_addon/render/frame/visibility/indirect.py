@@ -10,9 +10,9 @@ from ...device.protocol import Device, Target, Texture
 from ...indirect.light import IndirectLight
 from ...passes.gbuffer import GBuffer, Variant
 from ...passes.indirect.gather import Gather
+from ...passes.indirect.group_points import GROUP_POINTS_BLOCK, group_points_program
 from ...passes.indirect.interpolate import INTERPOLATE, INTERPOLATE_BLOCK, TILE
 from ...passes.indirect.pages import RECEIVER_WIDTH, receiver_texture
-from ...passes.indirect.places import PLACES_BLOCK, places_program
 from ...passes.uniforms import SampleView
 from .receivers import Receivers, choose_receivers
 
@@ -41,13 +41,13 @@ class GroupsInIndirectLight:
         device.clear(lists.place_target)
         turned = np.eye(4)
         turned[:3, :3] = view.world_from_view[:3, :3]
-        program = places_program(self._variant)
+        program = group_points_program(self._variant)
         textures = surfaces.bound() | {"ps_list": listed, "ps_materials": self._materials}
         names = {name for _, name in program.samplers}
         device.draw(
             program,
             lists.place_target,
-            uniforms=view.record(PLACES_BLOCK, tree_from_view=turned),
+            uniforms=view.record(GROUP_POINTS_BLOCK, tree_from_view=turned),
             textures={name: texture for name, texture in textures.items() if name in names},
         )
         count = len(entries)

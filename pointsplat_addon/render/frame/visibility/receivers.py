@@ -23,7 +23,7 @@ class Receivers:
 def choose_receivers(place: np.ndarray, up: np.ndarray, pixel: np.ndarray, view: SampleView, side: int) -> Receivers:
     """Chooses receivers among N groups.
 
-    place, up: (N, 4) as of shaders/indirect/places.frag. pixel: (N,), row by row. `side`: of a tile, in pixels.
+    place, up: (N, 4) as of shaders/indirect/group_points.frag. pixel: (N,), row by row. `side`: of a tile, in pixels.
     """
     width, height = view.size
     number = pixel.astype(np.int64)

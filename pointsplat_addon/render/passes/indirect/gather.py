@@ -11,8 +11,9 @@ from .pages import NODE_WIDTH, RECEIVER_WIDTH
 
 CELLS = 8  # along either side of a hemisphere
 COARSENESS = 1.0  # cells that a node may cover
-GATHER_BLOCK = block("Gather", (("mat4", "view_from_world"), ("int", "root"), ("float", "coarseness")))
-OUTPUTS = (("vec4", "out_diffuse"), ("vec4", "out_glossy"))
+GATHER_BLOCK = block("Gather", (("int", "root"), ("float", "coarseness")))
+# With a picture of the sky, which is looked up in view space.
+PICTURE_BLOCK = block("GatherPicture", (("mat4", "view_from_world"), ("int", "root"), ("float", "coarseness")))
 
 
 def gather_program(world: tuple[str, ...], glossy: bool) -> Interface:
@@ -21,7 +22,8 @@ def gather_program(world: tuple[str, ...], glossy: bool) -> Interface:
     picture = (("FLOAT_2D", "ps_environment"),) if "PS_HAS_ENVIRONMENT" in world else ()
     names = (*world, *(("PS_GLOSSY",) if glossy else ()))
     return Interface(
-        "gather", fragment="indirect/gather.frag", block=GATHER_BLOCK, outputs=OUTPUTS,
+        "gather", fragment="indirect/gather.frag", block=PICTURE_BLOCK if picture else GATHER_BLOCK,
+        outputs=(("vec4", "out_diffuse"), *((("vec4", "out_glossy"),) if glossy else ())),
         samplers=(*(("FLOAT_2D", name) for name in ("ps_nodes", "ps_receivers")), *lights, *picture),
         defines=(("PS_NODE_WIDTH", str(NODE_WIDTH)), ("PS_CELLS", str(CELLS)), *((name, "1") for name in names)),
     )  # fmt: skip
@@ -35,11 +37,21 @@ class Gather:
     ) -> None:
         """Gathers at once. `receivers`: as of receiver_texture; `record`, `textures`: what the program reads."""
         self.size = (RECEIVER_WIDTH, receivers.size[1])
-        self.diffuse, self.glossy = (device.texture(self.size, "RGBA32F") for _ in OUTPUTS)
-        self._target = device.target([self.diffuse, self.glossy])
+        self._textures = [device.texture(self.size, "RGBA32F") for _ in program.outputs]
+        self._target = device.target(self._textures)
         device.clear(self._target)
         device.draw(program, self._target, uniforms=record, textures={**textures, "ps_receivers": receivers})
 
+    @property
+    def diffuse(self) -> Texture:
+        """Irradiance over pi."""
+        return self._textures[0]
+
+    @property
+    def glossy(self) -> Texture:
+        """What the glossy lobe shows of surfaces, and how much of it is open; where the program was made for it."""
+        return self._textures[1]
+
     def release(self) -> None:
-        for item in (self._target, self.diffuse, self.glossy):
+        for item in (self._target, *self._textures):
             item.release()

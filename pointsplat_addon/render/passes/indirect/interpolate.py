@@ -19,7 +19,7 @@ READ = (
     "ps_found_glossy",
 )
 INTERPOLATE = Interface(
-    "gather", fragment="indirect/interpolate.frag", block=INTERPOLATE_BLOCK,
+    "interpolate", fragment="indirect/interpolate.frag", block=INTERPOLATE_BLOCK,
     samplers=tuple(("FLOAT_2D", name) for name in READ),
     outputs=(("vec4", "out_gathered"), ("vec4", "out_mirrored")),
     defines=(("PS_TILE", str(TILE)), ("PS_RECEIVER_WIDTH", str(RECEIVER_WIDTH))),

@@ -1,4 +1,4 @@
-"""Where the groups of a list are, and how they are turned: shaders/indirect/places.frag."""
+"""Where the groups of a list are, and how they are turned: shaders/indirect/group_points.frag."""
 
 from __future__ import annotations
 
@@ -6,19 +6,18 @@ from ....shading.interface import Interface
 from ..gbuffer import Variant
 from ..uniforms import CAMERA_FIELDS, block
 
-PLACES_BLOCK = block("Places", CAMERA_FIELDS, (("mat4", "tree_from_view"),))
+GROUP_POINTS_BLOCK = block("GroupPoints", CAMERA_FIELDS, (("mat4", "tree_from_view"),))
 
 
-def places_program(variant: Variant) -> Interface:
+def group_points_program(variant: Variant) -> Interface:
     """Returns the program for G-buffers of a variant, which has normals."""
     read = (
         *variant.samplers(only=("centre", "shape", "normal")),
         ("FLOAT_2D", "ps_list"),
         ("FLOAT_2D", "ps_materials"),
     )
-    names = tuple(name for name in variant.defines if name in ("PS_NORMAL", "PS_SURFACE"))
     return Interface(
-        "gather", fragment="indirect/places.frag", block=PLACES_BLOCK, samplers=read,
+        "group_points", fragment="indirect/group_points.frag", block=GROUP_POINTS_BLOCK, samplers=read,
         outputs=(("vec4", "out_place"), ("vec4", "out_up")),
-        defines=(("PS_GROUPED", "1"), *((name, "1") for name in names)),
+        defines=(("PS_SURFACE", "1"),) if variant.surface else (),
     )  # fmt: skip
