@@ -39,7 +39,9 @@ STRIP_IDS = block("StripIds", CAMERA_FIELDS, LATTICE_FIELDS, NUMBERS, FIRST, SHA
 TUBE_DEPTHS = block("TubeDepths", CAMERA_FIELDS, LATTICE_FIELDS, FIRST)
 STRIP_DEPTHS = block("StripDepths", CAMERA_FIELDS, LATTICE_FIELDS, FIRST, SHARE)
 SURFACE_FIELDS: Fields = (*RECTANGLE_FIELDS, *NUMBERS, ("int", "count"))
-AVERAGED = tuple(("UINT_2D", name) for name in ("ps_ids", "ps_depths", "ps_keys", "ps_first", "ps_second"))
+AVERAGED = (("UINT_2D", "ps_first"), ("UINT_2D", "ps_second"))
+OF_ATTRIBUTES = (("UINT_2D", "ps_ids"), ("UINT_2D", "ps_depths"))
+OF_TANGENTS = (("UINT_2D", "ps_keys"),)
 
 
 @record
@@ -143,13 +145,16 @@ def surface_program(variant: Variant, lattice: Lattice, ribbon: bool, kind: str,
     fetched += ["ps_side"] if ribbon and variant.normal else []
     fetched += ["ps_materials"] if tube and variant.normal else []
     fetched += attribute_samplers(variant)
-    averages = not tube and not leaders.central
+    own = not tube and not leaders.central
+    attributes, tangents = own and (variant.color or variant.emission), own and variant.normal and not ribbon
+    averages = attributes or tangents
+    read = (*(AVERAGED if averages else ()), *(OF_ATTRIBUTES if attributes else ()), *(OF_TANGENTS if tangents else ()))
     return Interface(
         "attributes",
         vertex="common/rectangle.vert",
         fragment="strands/strand_surface.frag",
         block=block("StrandSurface", CAMERA_FIELDS, LATTICE_FIELDS, SURFACE_FIELDS, leaders.fields),
-        samplers=(*(("FLOAT_2D", name) for name in fetched), *leaders.samplers, *(AVERAGED if averages else ())),
+        samplers=(*(("FLOAT_2D", name) for name in fetched), *leaders.samplers, *read),
         outputs=variant.outputs(),
         defines=(
             LATTICE_DEFINE,
