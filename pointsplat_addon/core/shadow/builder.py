@@ -10,10 +10,10 @@ splats are drawn into finer cells (captured/entries.py).
 
 Four kinds of casters are kept in cells of their own. VOLUME, SHELL and CAPTURED sum optical depth, T = exp(-sum tau)
 (Beer's law). OPAQUE sums the fraction f of the cell that is covered while entries follow one another closely: the
-samples of one surface tile it, and shadows have smooth edges. Separate surfaces hide each other by chance, T = product of max(0, 1
-- sum f), as leaves do; the table keeps -ln T. SHELL and OPAQUE entries lie where the splat's *plane* meets the middle
-of the cell, and a look-up with a normal compares them with its own plane there, so that a surface does not shade
-itself, however it is inclined."""
+samples of one surface tile it, and shadows have smooth edges. Separate surfaces hide each other by chance, T = product
+of max(0, 1 - sum f), as leaves do; the table keeps -ln T. SHELL and OPAQUE entries lie where the splat's *plane* meets
+the middle of the cell, and a look-up with a normal compares them with its own plane there, so that a surface does not
+shade itself, however it is inclined."""
 
 from __future__ import annotations
 
