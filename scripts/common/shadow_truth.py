@@ -26,6 +26,7 @@ NARROWINGS = 2  # times that the nearest entry is asked for, within what the one
 LOOSE = 0.65  # of a square's side: so far from it, and a cell more, nothing is that its neighbours do not know
 OVERLAP = 0.3  # of a segment: how far it reaches into the next, lest light slips between the cells of both
 OVERLAP_CELLS = 1.0  # and as many cells
+CAPTURED_RAMP = 0.1  # cells: captured splats set in along the ray from so far before their distance to as far after it
 
 
 def _bit_count(words: np.ndarray) -> np.ndarray:
@@ -234,7 +235,7 @@ def _look_up(
         column = np.floor(across) + next_column if jitter is None else np.rint(across + jitter[1])
         share = (1 - np.abs(place - row)) * (1 - np.abs(across - column)) if jitter is None else np.ones_like(place)
         limit = np.full(len(receiver), np.inf)
-        if level.kind != "VOLUME":
+        if level.kind in ("OPAQUE", "SHELL"):
             there = column / grid.density[row]
             to_cell = there - receiver.longitude, grid.latitude[row] - receiver.latitude
             middle = directions(frame, grid.latitude[row], there)[0]
@@ -246,10 +247,11 @@ def _look_up(
             column %= grid.count[row]
         inside &= (column >= 0) & (column < grid.count[row])
         first, end = _entry_range(level, np.where(inside, grid.first[row] + column, -1))
-        found = _depth_before(level, first, end, np.minimum(far, limit), width / 2)
+        ramp = width * (CAPTURED_RAMP if level.kind == "CAPTURED" else 0.5)
+        found = _depth_before(level, first, end, np.minimum(far, limit), ramp)
         if jitter is not None:
             until = near - OVERLAP_CELLS * width if level.kind == "OPAQUE" else near
-            found -= _depth_before(level, first, end, np.minimum(until, limit), width / 2)
+            found -= _depth_before(level, first, end, np.minimum(until, limit), ramp)
         result += share[:, None] * (-np.expm1(-found) if level.kind == "OPAQUE" else found)
     return result
 

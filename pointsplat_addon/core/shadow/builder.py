@@ -5,14 +5,15 @@ grid), a list of (distance, cumulated optical depth) in order of distance. Cells
 as high: every row has as many columns as its circumference asks for, and the poles are cells of their own. A splat
 gives its optical mass to the cells that its projection touches, each its share, over the cell's area at the splat's
 distance: a cell then holds the mean optical depth over its directions. Levels of cells that double in size let each
-splat touch four cells at most; a look-up sums the levels and interpolates between four cells of each.
+splat touch four cells at most; a look-up sums the levels and interpolates between four cells of each. Captured
+splats are drawn into finer cells (captured/entries.py).
 
-Three kinds of casters are kept in cells of their own. VOLUME and SHELL sum optical depth, T = exp(-sum tau) (Beer's
-law). OPAQUE sums the fraction f of the cell that is covered while entries follow one another closely: the samples of
-one surface tile it, and shadows have smooth edges. Separate surfaces hide each other by chance, T = product of max(0, 1
-- sum f), as leaves do; the table keeps -ln T. SHELL and OPAQUE entries lie where the splat's *plane* meets the middle
-of the cell, and a look-up with a normal compares them with its own plane there, so that a surface does not shade
-itself, however it is inclined."""
+Four kinds of casters are kept in cells of their own. VOLUME, SHELL and CAPTURED sum optical depth, T = exp(-sum tau)
+(Beer's law). OPAQUE sums the fraction f of the cell that is covered while entries follow one another closely: the
+samples of one surface tile it, and shadows have smooth edges. Separate surfaces hide each other by chance, T = product
+of max(0, 1 - sum f), as leaves do; the table keeps -ln T. SHELL and OPAQUE entries lie where the splat's *plane* meets
+the middle of the cell, and a look-up with a normal compares them with its own plane there, so that a surface does not
+shade itself, however it is inclined."""
 
 from __future__ import annotations
 

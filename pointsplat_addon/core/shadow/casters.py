@@ -11,7 +11,7 @@ from ..numeric.vectors import cross, each_block
 from ..scene.cloud import PointCloud
 
 OPAQUE_DEPTH = 100.0  # optical depth that counts as opaque
-KINDS = ("OPAQUE", "SHELL", "VOLUME")
+KINDS = ("OPAQUE", "SHELL", "VOLUME", "CAPTURED")
 TYPICAL_QUANTILE = 0.9  # quantile of the radii of a surface's samples that counts as typical
 QUANTILE_SAMPLES = 1 << 16  # radii that the quantile is taken from
 CHUNK = 1 << 14  # splats that are handled together, so that scratch arrays stay in the cache
@@ -27,8 +27,9 @@ class Casters:
     radius: np.ndarray | None = None  # (N,) float32
     axes: np.ndarray | None = None  # (N, K, 3) float32, half-axes: K = 2 flat, 3 solid
     # VOLUME: (N,) or (N, 3) float32, optical mass in units^2: the integral of extinction over the splat.
-    # SHELL: (N,) or (N, 3) float32, optical depth -ln(1 - opacity) face on. OPAQUE: None.
+    # SHELL: (N,) or (N, 3) float32, optical depth -ln(1 - opacity) face on. OPAQUE, CAPTURED: None.
     mass: np.ndarray | None = None
+    opacity: np.ndarray | None = None  # CAPTURED: (N,) float32, at the splats' centres; else None
 
     def __len__(self) -> int:
         return len(self.position)
@@ -38,10 +39,10 @@ class Casters:
         return self.mass is not None and self.mass.ndim == 2
 
     def take(self, index: np.ndarray | slice) -> Casters:
-        arrays = (self.position, self.radius, self.axes, self.mass)
-        position, radius, axes, mass = (None if a is None else a[index] for a in arrays)
+        arrays = (self.position, self.radius, self.axes, self.mass, self.opacity)
+        position, radius, axes, mass, opacity = (None if a is None else a[index] for a in arrays)
         assert position is not None
-        some = Casters(self.kind, self.origin, position, radius, axes, mass)
+        some = Casters(self.kind, self.origin, position, radius, axes, mass, opacity)
         if "reach" in self.__dict__:
             some.__dict__["reach"] = self.reach[index]  # so that it is not computed again
         return some

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ..numeric.vectors import cross
+from .captured.entries import captured_entries
 from .casters import CHUNK, OPAQUE_DEPTH, Casters, rotate_vectors
 from .grid import directions, plane_distance, slopes
 from .rows import HALF_EXTENT, WIDEST_DEVIATION, DistanceSpans, GridRows, distance_spans, level_of_splats
@@ -19,10 +20,9 @@ EntryBlock = tuple[np.ndarray, np.ndarray, np.ndarray]  # what _entries returns
 def entry_blocks(rows: GridRows, batches: Sequence[Casters], colored: bool) -> Iterator[EntryBlock]:
     """The entries of all splats, in blocks of about DEALT."""
     parts, held = [], 0
+    captured = sum(batch.opacity is not None for batch in batches)
     for batch in batches:
-        spans = distance_spans(rows.frame, batch)
-        for start in range(0, len(batch), CHUNK):
-            cell, at, depth = _splat_entries(rows, batch.take(slice(start, start + CHUNK)), spans)
+        for cell, at, depth in _batch_entries(rows, batch, 1 / max(captured, 1)):
             if colored and depth.ndim == 1:
                 depth = np.broadcast_to(depth[:, None], (len(depth), 3))
             parts.append((cell, at, depth))
@@ -32,6 +32,16 @@ def entry_blocks(rows: GridRows, batches: Sequence[Casters], colored: bool) -> I
                 parts, held = [], 0
     if held:
         yield concatenate_columns(parts)
+
+
+def _batch_entries(rows: GridRows, batch: Casters, share: float) -> Iterator[EntryBlock]:
+    """The entries of a batch. share: of it among batches of captured splats."""
+    if batch.opacity is not None:
+        yield from captured_entries(rows, batch, share)
+        return
+    spans = distance_spans(rows.frame, batch)
+    for start in range(0, len(batch), CHUNK):
+        yield _splat_entries(rows, batch.take(slice(start, start + CHUNK)), spans)
 
 
 def concatenate_columns(parts: Sequence[Sequence[np.ndarray]]) -> tuple:

@@ -57,7 +57,7 @@ def coarsening(frame: Frame, kind: str, batches: Sequence[Casters]) -> float:
     are, finer cells cost nothing but their masks. Shells would show their samples.
     """
     found = [batch for batch in batches if batch.kind == kind]
-    if kind == "SHELL" or not found:
+    if kind in ("SHELL", "CAPTURED") or not found:
         return 1.0
     widths = []
     for batch in found:

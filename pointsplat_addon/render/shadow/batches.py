@@ -13,6 +13,7 @@ from ...core.scene.cloud import PointCloud
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
 from ...core.shadow import builder
+from ...core.shadow.captured.casters import captured_casters
 from ...core.shadow.samples import caster_clouds, mesh_is_foliage
 from ...core.shadow.strand_casters import StrandSegments, cut_strands
 from ...core.surface.appearance import hiding
@@ -48,14 +49,16 @@ def strand_segments(casters: list[CastingGeometry], spacing: list[float], store:
 def splat_batches(
     scene: Scene, casters: list[CastingGeometry], spacing: list[float], store: Store, check: Callable[[], None]
 ) -> list[builder.Casters]:
-    """Returns the splats of all clouds and meshes that cast, in world space.
+    """Returns the splats of all clouds, captured ones and meshes that cast, in world space.
 
     `spacing`: of the samples of each caster, object units; 0: a mesh does not cast. `check` may raise to stop.
     """
     found = []
     for caster, length in zip(casters, spacing, strict=True):
         check()
-        cloud, mesh = caster.geometry.cloud, caster.geometry.mesh
+        cloud, mesh, captured = caster.geometry.cloud, caster.geometry.mesh, caster.geometry.captured
+        if captured is not None:
+            found += [captured_casters(captured, matrix) for matrix in caster.matrices]
         clouds = []
         if cloud is not None:
             clouds = [

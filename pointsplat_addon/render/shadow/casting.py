@@ -12,6 +12,7 @@ from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.settings import Settings
 from ...core.shadow.samples import MeshExtents, mesh_extents
+from ...core.splat.captured import WIDEST, bounds_of_scales
 from ...core.strand.levels import StrandLevels
 from ...core.strand.preparation import with_levels
 from ...core.surface.appearance import digest, hiding
@@ -87,7 +88,8 @@ def casting_geometries(scene: Scene, store: Store) -> list[CastingGeometry]:
 def cached_bounding_box(geometry: Geometry, store: Store) -> tuple[np.ndarray, np.ndarray]:
     """Returns the low and high corner, (3,) float64, of a geometry's bounding box, in object space; measured once.
 
-    The box includes the radii of splats and strands. If the geometry is empty, low > high.
+    The box includes the radii of splats and strands, and what is seen of captured ones. If the geometry is empty,
+    low > high.
     """
     return store.lookup(Key(Kind.CASTER_BOX, geometry.key), lambda: _bounding_box(geometry, store))
 
@@ -106,6 +108,12 @@ def _bounding_box(geometry: Geometry, store: Store) -> tuple[np.ndarray, np.ndar
         widest = float(strands.radius.max())
         low, high = strands.position.min(axis=0) - widest, strands.position.max(axis=0) + widest
         return strands.origin + low, strands.origin + high
+    if (captured := geometry.captured) is not None and len(captured):
+        reach = WIDEST * bounds_of_scales(captured)
+        seen = ~np.isnan(reach)
+        position, reach = captured.position[seen], reach[seen, None]
+        low, high = (position - reach).min(axis=0, initial=np.inf), (position + reach).max(axis=0, initial=-np.inf)
+        return captured.origin + low, captured.origin + high
     return np.full(3, np.inf), np.full(3, -np.inf)
 
 
@@ -125,6 +133,8 @@ def _bounding_ball(geometry: Geometry, store: Store) -> tuple[np.ndarray, float]
     elif geometry.strands is not None and len(strands := cached_strands(geometry, store)):
         origin, widest = strands.origin, float(strands.radius.max())
         low, high = strands.position.min(axis=0) - widest, strands.position.max(axis=0) + widest
+    elif geometry.captured is not None:
+        (low, high), origin = cached_bounding_box(geometry, store), np.zeros(3)
     else:
         return np.zeros(3), -1.0
     if not (low <= high).all():

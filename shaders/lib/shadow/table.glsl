@@ -28,6 +28,7 @@
 #define PS_RECTANGLE 2
 #define PS_OPAQUE 0.0
 #define PS_VOLUME 2.0
+#define PS_SHADOW_CAPTURED_RAMP 0.1
 
 #ifdef PS_SHADOW_COLORED
 #define PsDepth vec3
@@ -167,6 +168,7 @@ float ps_shadow_plane(PsReceiver p, vec2 cell)
 PsDepth ps_shadow_look_up(PsShadowLevel level, PsReceiver p, PsTap tap)
 {
   float width = level.step * (p.parallel ? 1.0 : p.at);
+  float ramp = width * (level.kind > PS_VOLUME ? PS_SHADOW_CAPTURED_RAMP : 0.5);
   float place = (tap.latitude - level.low) / level.step;
   float bias = width * PS_SHADOW_BIAS / max(abs(dot(p.normal, p.ray)), PS_SHADOW_STEEPEST);
   PsDepth result = PsDepth(0.0);
@@ -179,7 +181,7 @@ PsDepth ps_shadow_look_up(PsShadowLevel level, PsReceiver p, PsTap tap)
     float column = tap.one ? floor(across + tap.jitter.y + 0.5) : floor(across) + float(i & 1);
     float share = tap.one ? 1.0 : (1.0 - abs(place - row)) * (1.0 - abs(across - column));
     float limit = level.kind == PS_OPAQUE ? p.at - PS_SHADOW_UNORIENTED_BIAS * width : 1e30;
-    if (level.kind != PS_VOLUME && p.oriented) {
+    if (level.kind < PS_VOLUME && p.oriented) {
       limit = ps_shadow_plane(p, vec2(column / record.w, level.low + row * level.step)) - bias;
     }
     column -= record.y;
@@ -189,7 +191,7 @@ PsDepth ps_shadow_look_up(PsShadowLevel level, PsReceiver p, PsTap tap)
       float until = level.kind == PS_OPAQUE ? tap.near_opaque - PS_SHADOW_OVERLAP_CELLS * width : tap.near;
       PsDepth found = PsDepth(0.0);
       for (int end = tap.near > 0.0 ? 2 : 1; end > 0; end--) {
-        found = ps_shadow_up_to(level, range, min(end == 2 ? until : tap.far, limit), 0.5 * width) - found;
+        found = ps_shadow_up_to(level, range, min(end == 2 ? until : tap.far, limit), ramp) - found;
       }
       // llvmpipe ends all loops of an invocation after 65,535 turns, also these searches: light is never to be gained.
       found = max(found, PsDepth(0.0));

@@ -1,0 +1,1 @@
+"""Captured Gaussian splats as casters of shadows."""
