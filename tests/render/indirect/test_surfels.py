@@ -32,12 +32,13 @@ def transforms(count: int) -> np.ndarray:
 def test_surfels_bound_the_volume_of_their_bodies(count):
     """By the divergence theorem, sums of area times normal are 0, and of that times position three times the volume,
     whose sign mirrors keep. Worst: 6.5e-9 of the area, 1e-7 of the volume."""
-    cube = build.mesh(meshes.cube_mesh("cube of many", 0.5), "POLYGONS")
+    body = meshes.cube_mesh("cube of many", 0.5)
+    cube = build.mesh(body, "POLYGONS")
     matrices = transforms(count)
     surfels = made(*((cube, matrix) for matrix in matrices))
     weighted = surfels.area[:, None].astype(float) * surfels.normal
     assert np.abs(weighted.sum(axis=0)).max() < 1e-7 * surfels.area.sum()
-    volume = np.abs(np.linalg.det(matrices[:, :3, :3])).sum() * np.ptp(cube.mesh.position[:, 0]) ** 3
+    volume = np.abs(np.linalg.det(matrices[:, :3, :3])).sum() * np.ptp(body.position[:, 0]) ** 3
     assert abs((weighted * surfels.position).sum() / (3 * volume) - 1) < 1e-6
     assert surfels.closed.all()
 
