@@ -69,3 +69,19 @@ def cloud_ball(cloud: PointCloud) -> tuple[np.ndarray, float, float]:
     # Rounding of the middle and of float32 sums is far below a millionth of what is measured.
     distance = side * np.sqrt(max(squared)) + 2.0**-23 * np.abs(middle).max()
     return cloud.origin + middle, float(distance) * (1 + 1e-6), radius
+
+
+def within(position: np.ndarray, box_from_object: np.ndarray) -> np.ndarray:
+    """(N,) bool: which points (N, 3) lie in one of the boxes (B, 4, 4), cubes from -1 to 1 in their own space."""
+    found = np.zeros(len(position), bool)
+    matrices = box_from_object.astype(np.float32)
+
+    def fill(block: slice) -> None:
+        columns = np.ascontiguousarray(position[block].T)
+        with np.errstate(invalid="ignore"):  # what is not a number lies in none
+            for matrix in matrices:
+                x, y, z = np.abs(matrix[:3, :3] @ columns + matrix[:3, 3:]) <= 1
+                found[block] |= x & y & z
+
+    each_block(len(position), fill)
+    return found

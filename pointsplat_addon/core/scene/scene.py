@@ -17,6 +17,7 @@ from .cloud import PointCloud
 from .lights import Light
 from .materials import MaterialTable
 from .mesh import Mesh
+from .streamed import StreamedScan
 from .strands import Strands
 from .volume import Volume
 from .world import Mist, World
@@ -34,6 +35,7 @@ class Geometry:
     volume: Volume | None = None
     strands: Strands | None = None
     captured: CapturedSplats | None = None
+    streamed: StreamedScan | None = None  # what a view reads of it becomes the cloud
     primitive: str = "AUTO"  # one of PRIMITIVES
     spacing: float = 0.0  # distance between samples in object units; 0 chooses
     lattice: str = ""  # clouds of equal keys and attributes have the same points and half-axes; "": no other does

@@ -41,6 +41,7 @@ class Settings:
     budget: str = "NONE"  # one of BUDGETS
     time_budget: float = 100.0  # milliseconds that a picture may take
     error_budget: float = 1 / 128  # root mean square error that a picture may have, scene-linear
+    memory_budget: int = 2000  # megabytes of points that are read by pages
     device: str = "AUTO"  # one of DEVICES
 
     OF_BLENDER: ClassVar[frozenset[str]] = frozenset({"filter_size"})
@@ -56,4 +57,5 @@ class Settings:
         "eye_dome_radius": (1, 16),
         "time_budget": (1.0, 3_600_000.0),
         "error_budget": (0.0001, 1.0),
+        "memory_budget": (16, 1_000_000),
     }

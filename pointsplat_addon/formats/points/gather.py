@@ -8,11 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...core.numeric.record import value_record
+from .colors import coded, coding_of
 from .reader import CHUNK, Attribute, Columns, Reader, origin_of
-
-STRAY = (
-    1e-3  # share of colours that may have other low bytes where fields of 16 bits hold 8: marks of what has no colour
-)
 
 
 @value_record
@@ -95,7 +92,7 @@ def gather(readers: Sequence[Reader], selection: Selection, size: int = CHUNK) -
     for name, (dtype, shape) in types.items():
         array = np.concatenate([np.zeros((0, *shape), dtype), *parts.pop(name)])
         if name == "color":
-            found.columns[name] = _color(array)
+            found.columns[name] = coded(array, coding_of(array))
         elif name == "position" or array.any():
             found.columns[name] = array
     return found
@@ -146,32 +143,3 @@ def _chosen(chunk: Columns, selection: Selection, before: int) -> np.ndarray:
     if selection.classes is not None and "classification" in chunk:
         rows = rows[np.isin(chunk["classification"][rows], list(selection.classes))]
     return rows
-
-
-def _color(values: np.ndarray) -> np.ndarray:
-    """Colours (N, 4): uint8 where 8 bits hold all of them, else float32 from 0 to 1; sRGB, as files have them.
-
-    Fields of 16 bits often hold 8: as they are, times 256, or times 257.
-    """
-    rgba = np.empty((len(values), 4), np.uint8)
-    rgba[:, 3] = 255
-    given = values.shape[1]
-    if values.dtype == np.uint8:
-        rgba[:, :given] = values
-        return rgba
-    if values.dtype.kind in "iu":
-        most = int(values.max(initial=0))
-        if most <= 255:
-            rgba[:, :given] = np.clip(values, 0, 255)
-            return rgba
-        low = (values & 255).astype(np.uint8)
-        high = (values >> 8).astype(np.uint8)
-        if np.count_nonzero((low != 0) & (low != high)) <= STRAY * low.size:
-            rgba[:, :given] = high
-            return rgba
-        scale = 65535.0 if most <= 65535 else float(np.iinfo(values.dtype).max)
-    else:
-        scale = 255.0 if float(np.nanmax(values, initial=0.0)) > 1.0 else 1.0
-    found = np.ones((len(values), 4), np.float32)
-    found[:, :given] = np.nan_to_num(values * np.float32(1 / scale))
-    return found

@@ -179,6 +179,11 @@ LABELS: dict[str, tuple[str, str]] = {
         "Root mean square error that a picture may have against very many samples at a quarter of the tolerance, "
         "in scene-linear values",
     ),
+    "memory_budget": (
+        "Memory Budget",
+        "Megabytes of points that are kept in memory of scans that are read by pages; where a picture needs more, it is"
+        " drawn more coarsely",
+    ),
     "device": ("Device", "What draws the pictures"),
 }
 ITEMS = {

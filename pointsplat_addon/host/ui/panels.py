@@ -169,6 +169,7 @@ class POINTSPLAT_RENDER_PT_performance(_Panel, bpy.types.Panel):
     def draw(self, context):
         layout = self.split_layout()
         layout.prop(context.scene.pointsplat, "device")
+        layout.prop(context.scene.pointsplat, "memory_budget")
         layout.prop(context.scene.render, "use_persistent_data", text="Persistent Data")
         layout.operator("pointsplat.clear_cache")
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..device.protocol import Device, released_on_failure
 from .cache import Cache
-from .keys import Key, Kind
+from .keys import Key, Kind, streamed_names
 
 MOST_BYTES = 4 << 30  # of geometry that stay on the device after their frame
 
@@ -58,6 +58,13 @@ class DeviceCache(Cache):
                 raise
 
         return super().lookup(key, make_whole)
+
+    def forget_streamed(self) -> None:
+        """Frees what shows other pages of scans than a frame in the making does, and shadow maps that none uses."""
+        used = set().union(*self._in_use)
+        changing = {Kind.SHADOW_MAP_TEXTURE, Kind.PANE_TEXTURE}
+        loose = self.keys() - used
+        self.drop({key for key in loose if key.kind in changing or next(streamed_names(key), None) is not None})
 
     def trim_unused(self) -> None:
         """Frees what no frame in the making uses, least recently used first, until the rest fits."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterator
 from enum import Enum, auto
 
 from ...core.numeric.record import value_record
@@ -40,6 +40,7 @@ class Kind(Enum):
     CLOUD = auto()  # the point set of a given cloud
     FILLED = auto()  # points with the constants of their materials
     DICED = auto()  # splats of one view, cut from what is out of focus
+    STREAMED = auto()  # what a view draws of a scan that is read by pages
     # Of point sets
     HIERARCHY = auto()
     SHARED_HIERARCHY = auto()  # of samples that several poses or colourings share
@@ -113,6 +114,22 @@ class Key:
     method: str = ""  # of sampling a mesh
     spacing: float = 0.0  # of samples, object units
     other: Hashable = ()  # what else it depends on
+
+
+STREAMED_NAME = "streamed "  # content keys of what a view draws of a scan that is read by pages begin with it
+
+
+def streamed_names(of: object) -> Iterator[str]:
+    """Yields the content keys of what views draw of scans read by pages that a key, or what it depends on, names."""
+    if isinstance(of, str):
+        if of.startswith(STREAMED_NAME):
+            yield of
+    elif isinstance(of, Key):
+        yield from streamed_names(of.content)
+        yield from streamed_names(of.other)
+    elif isinstance(of, tuple):
+        for one in of:
+            yield from streamed_names(one)
 
 
 def digest(of: object) -> bytes:

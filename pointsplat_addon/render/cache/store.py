@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
@@ -11,9 +12,10 @@ import numpy as np
 from ...core.lod.hierarchy import Hierarchy, build
 from ...core.scene.cloud import PointCloud
 from .cache import Cache
-from .keys import Key
+from .keys import Key, streamed_names
 
 MOST_BYTES = 4 << 30
+STREAMED_VIEWS = 2  # whose pages of scans stay joined: a viewport's and a final picture's
 
 
 class Store(Cache):
@@ -26,6 +28,7 @@ class Store(Cache):
         self._spacing: dict[Key, float] = {}
         self._worker: ThreadPoolExecutor | None = None
         self._pending: dict[Key, Future] = {}
+        self._streamed: OrderedDict[str, None] = OrderedDict()  # what views drew of scans read by pages, latest last
 
     def make_later(self, key: Key, make: Callable[[], Any]) -> None:
         """Runs `make` once on the store's thread; `key` is in the store when it has run."""
@@ -47,6 +50,17 @@ class Store(Cache):
         """Whether an item is being made on the store's thread, or waits for it."""
         with self._lock:
             return bool(self._pending)
+
+    def forget_streamed(self, drawn: tuple[str, ...]) -> None:
+        """Drops what was made of what views drew of scans read by pages, but for the latest: a view that moves draws
+        other pages each time. `drawn`: content keys of what this view draws of them."""
+        with self._lock:
+            for name in drawn:
+                self._streamed.pop(name, None)
+                self._streamed[name] = None
+            while len(self._streamed) > STREAMED_VIEWS * len(drawn):
+                self._streamed.popitem(last=False)
+            self.drop({key for key in self._items if any(name not in self._streamed for name in streamed_names(key))})
 
     def finest_spacing(self, key: Key, spacing: float) -> float:
         """Returns the finer of `spacing` and what was asked for `key` before: samples are only ever refined."""

@@ -27,6 +27,7 @@ def report(frame: Frame, seconds: float) -> dict[str, Any]:
         "triangles": frame_plan.triangles,
         "lines": {"strands": frame_plan.strands, "segments": frame_plan.segments, "drawn": drawn},
         "bytes": {"cpu": frame.renderer.store.nbytes, "gpu": device.bytes_allocated()},
+        **({} if frame_plan.streamed is None else {"streamed": frame_plan.streamed.report}),
         "warnings": list(frame_plan.warnings),
     }
 

@@ -35,6 +35,7 @@ from ..prepare.negligible import without_negligible
 from ..prepare.painter import with_defocus_among_translucent, with_opaque_among_translucent
 from ..prepare.prepare import Prepared, prepare
 from ..prepare.separation import separate_translucent
+from ..prepare.streamed import Streamed, with_pages
 from ..shadow.nested import with_nested
 from ..shadow.shadows import Shadows, make_shadows
 from .auxiliary import auxiliary_picture
@@ -66,6 +67,7 @@ class FramePlan:
     not_adaptive: str  # why all pixels get all samples; empty where some may not
     left_out: tuple[tuple[str, str], ...]  # (pass, or part of the scene; reason)
     warnings: tuple[str, ...]
+    streamed: Streamed | None = None  # what is read by pages
 
     @property
     def trivial(self) -> bool:
@@ -150,6 +152,9 @@ def make_frame_plan(
     `limits`, `costs`: of the device. `clock`: is told what shadows take. `presented`: the picture is shown between
     samples, too. `picture`: Combined is drawn, not auxiliary passes alone. Raises Cancelled where the clock says so.
     """
+    scene, streamed = with_pages(
+        scene, request.camera, request.settings, store, request.interactive, clock.check
+    )
     scene, camera = validate(
         scene, request.camera, lambda content, make: store.lookup(Key(Kind.VALIDATED, content), make)
     )
@@ -236,7 +241,9 @@ def make_frame_plan(
             *((f"Eye-dome lighting is left out: {absences.eye_dome}",) if lacks_eye_dome else ()),
             *prepared.warnings,
             *(shadows.warnings if shadows else ()),
+            *(streamed.warnings if streamed else ()),
         ),
+        streamed=streamed,
     )
 
 

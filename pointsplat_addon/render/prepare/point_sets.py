@@ -58,6 +58,8 @@ def coherent_with_foliage(cloud: PointCloud) -> PointCloud:
 
 def cloud_points(view: View, geometry: Geometry, cloud: PointCloud) -> PointSet:
     """Returns the point set of a geometry that is a cloud."""
+    if geometry.streamed is not None:  # pages are coherent, and what is drawn of them changes with the view
+        return PointSet(Key(Kind.CLOUD, geometry.key), cloud)
     points = view.store.lookup(Key(Kind.COHERENT_POINTS, geometry.key), lambda: coherent_with_foliage(cloud))
     family = None
     if geometry.lattice:

@@ -199,6 +199,8 @@ def _ball_trees(
     found, geometries = {}, view.scene.geometries
     for key, points in drawn.opaque.sets.items():
         view.check()
+        if key < len(geometries) and geometries[key].streamed is not None:
+            continue  # its pages are nodes already
         if view.interactive and key < len(geometries) and geometries[key].pixel_radius > 0:
             continue  # the next view would need others
         tree = ball_tree_if_it_pays(view, points, view_from_object[drawn.opaque.set_of_instance == key])

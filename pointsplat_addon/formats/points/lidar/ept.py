@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..columns import assemble, attributes_of
-from ..reader import CHUNK, Columns, FileReader, Header, PointFileError, origin_of
+from ..reader import CHUNK, Attribute, Columns, FileReader, Header, PointFileError, origin_of
 from .las import LasReader
 
 KINDS = {"signed": "i", "unsigned": "u", "float": "f"}
@@ -23,36 +23,36 @@ LARGEST_WINDOW = 1 << 27  # bytes that Zstandard may look back: its own limit of
 
 
 class EptReader(FileReader):
-    """An Entwine folder, by its ept.json."""
+    """An Entwine folder, by its ept.json. `nodes`: points of each node that has some, by name."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._folder, self.warnings = path, path.parent, []
-        facts = _json(path)
+        self.facts = facts = _json(path)
         self._end = ENDS.get(str(facts.get("dataType")), "")
         if not self._end:
             raise PointFileError(path, f'has data of the type "{facts.get("dataType")}", expected {", ".join(ENDS)}')
-        self._nodes = self._hierarchy()
+        self.nodes = self._hierarchy()
         try:
             self._record, self._scales = _schema(facts["schema"])
             box = np.array(facts.get("boundsConforming", facts["bounds"]), np.float64).reshape(2, 3)
             promised = int(facts["points"])
         except (KeyError, TypeError, ValueError, OverflowError):
             raise PointFileError(path, "has no schema, bounds and points that belong together") from None
-        count = sum(self._nodes.values())
+        count = sum(self.nodes.values())
         columns = [
             (name, np.dtype(np.float64) if name in self._scales else self._record[name])
             for name in self._record.names or ()
         ]
         attributes = attributes_of(columns, path)
-        if self._end == "laz" and self._nodes:
-            with LasReader(self._file(next(iter(self._nodes)))) as first:
+        if self._end == "laz" and self.nodes:
+            with LasReader(self._file(next(iter(self.nodes)))) as first:
                 attributes = first.header.attributes
         if promised != count:
             self.warnings.append(f"{path.name}: promises {promised:,} points, and its nodes have {count:,}")
         srs = facts.get("srs")
         srs = srs if isinstance(srs, dict) else {}
         crs = srs.get("wkt") or (f"{srs.get('authority')}:{srs.get('horizontal')}" if srs.get("horizontal") else "")
-        title = f"EPT of {len(self._nodes):,} nodes, {facts['dataType']}"
+        title = f"EPT of {len(self.nodes):,} nodes, {facts['dataType']}"
         self.header = Header(path, title, count, attributes, box, origin_of(box), crs=str(crs))
 
     def _hierarchy(self) -> dict[str, int]:
@@ -83,7 +83,7 @@ class EptReader(FileReader):
     def chunks(self, columns: Collection[str] | None = None, size: int = CHUNK) -> Iterator[Columns]:
         wanted = self.wanted(columns)
         names = [attribute.name for attribute in wanted]
-        for node, count in self._nodes.items():
+        for node, count in self.nodes.items():
             path = self._file(node)
             if self._end == "laz":
                 with LasReader(path) as reader:
@@ -91,11 +91,27 @@ class EptReader(FileReader):
                 continue
             records = self._records(path, count)
             for first in range(0, count, size):
-                part = records[first : first + size]
-                values = {name: part[name] for name in part.dtype.names or ()}
-                for name, (scale, offset) in self._scales.items():
-                    values[name] = part[name] * scale + offset
-                yield assemble(values, wanted)
+                yield self._assembled(records[first : first + size], wanted)
+
+    def node(self, name: str) -> tuple[Columns, int]:
+        """Returns the points of one node, and the bytes of its file. Threads may call it side by side. Raises
+        PointFileError and OSError."""
+        path, count = self._file(name), self.nodes[name]
+        size = path.stat().st_size
+        if self._end != "laz":
+            return self._assembled(self._records(path, count), self.wanted(None)), size
+        with LasReader(path, threads=False) as reader:
+            parts = list(reader.chunks(None, max(count, 1)))
+        found = sum(len(part["position"]) for part in parts)
+        if found != count:
+            raise PointFileError(path, f"has {found:,} points, where {count:,} are promised")
+        return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}, size
+
+    def _assembled(self, records: np.ndarray, wanted: list[Attribute]) -> Columns:
+        values = {name: records[name] for name in records.dtype.names or ()}
+        for name, (scale, offset) in self._scales.items():
+            values[name] = records[name] * scale + offset
+        return assemble(values, wanted)
 
     def _records(self, path: Path, count: int) -> np.ndarray:
         data = path.read_bytes()

@@ -139,6 +139,21 @@ class LasReader(FileReader):
                 f"{self._path.name}: its header promises {self.header.count:,} points, and it has {found:,}"
             ]
 
+    def chunk(self, packed: bytes, count: int, columns: Collection[str] | None = None) -> Columns:
+        """Returns the `count` points of one chunk of a LAZ file, from its bytes, as `chunks` does. Threads may call it
+        side by side. Raises PointFileError."""
+        import laspy
+        import lazrs
+
+        header = self._las.header
+        out = bytearray(count * header.point_format.size)
+        [record] = [r for r in header.vlrs if r.user_id == "laszip encoded" and r.record_id == LASZIP]
+        table = [(count, len(packed))]
+        self._guarded(lambda: lazrs.decompress_points_with_chunk_table(packed, record.record_data_bytes(), out, table))
+        raw = np.frombuffer(out, header.point_format.dtype(), count)
+        points = laspy.ScaleAwarePointRecord(raw, header.point_format, header.scales, header.offsets)
+        return {attribute.name: self._column(points, attribute) for attribute in self.wanted(columns)}
+
     def _column(self, points: Any, attribute: Attribute) -> np.ndarray:
         if attribute.name == "position":
             scale, offset = self._las.header.scales, self._las.header.offsets

@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 
 from ....core.numeric.record import value_record
-from ....core.numeric.vectors import each_block
+from ....core.scene.bounds import within
 from ....core.scene.cloud import PointCloud
 from .. import arrays
 
@@ -72,19 +72,3 @@ def clipped(key: str, cloud: PointCloud, clip: Clip, lookup: Lookup) -> tuple[st
     if len(rows) in (0, len(cloud)):
         return key, cloud if len(rows) else None
     return key, lookup(key, lambda: cloud.take(rows))
-
-
-def within(position: np.ndarray, box_from_object: np.ndarray) -> np.ndarray:
-    """(N,) bool: which points (N, 3) lie in one of the boxes (B, 4, 4), cubes from -1 to 1 in their own space."""
-    found = np.zeros(len(position), bool)
-    matrices = box_from_object.astype(np.float32)
-
-    def fill(block: slice) -> None:
-        columns = np.ascontiguousarray(position[block].T)
-        with np.errstate(invalid="ignore"):  # what is not a number lies in none
-            for matrix in matrices:
-                x, y, z = np.abs(matrix[:3, :3] @ columns + matrix[:3, 3:]) <= 1
-                found[block] |= x & y & z
-
-    each_block(len(position), fill)
-    return found

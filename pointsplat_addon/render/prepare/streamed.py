@@ -1,0 +1,185 @@
+"""Puts what a view draws of scans that are read by pages in the place of these scans.
+
+A picture that may wait gets all pages that its tolerance needs and that fit the budget; a viewport what is there, and
+asks for the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ...core.numeric.record import record, value_record
+from ...core.scene.bounds import within
+from ...core.scene.camera import Camera
+from ...core.scene.cloud import PointCloud
+from ...core.scene.scene import Geometry, Scene
+from ...core.scene.settings import Settings
+from ...core.scene.streamed import StreamedScan
+from ...stream.cut import cloud_of_cut, cut_pages
+from ...stream.need import Need, needed_pages
+from ...stream.pool import POOL, PagePool, Wish, wishes_of
+from ..cache.keys import STREAMED_NAME, Key, Kind
+from ..cache.store import Store
+
+WAIT = 0.05  # seconds between two looks whether the picture is still wanted
+PATIENCE = 60.0  # seconds without a page, after which a picture no longer waits for the rest
+MEGABYTE = 1 << 20
+
+
+@value_record
+class Streamed:
+    """What a view reads and draws of scans that are read by pages."""
+
+    needed: int  # pages that the tolerance needs
+    drawn: int
+    points: int  # that are drawn
+    read_pages: int  # for this view
+    read_bytes: int
+    waiting: bool  # more pages are to come
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def report(self) -> dict[str, int]:
+        """What a report says of it."""
+        read = {"pages": self.read_pages, "bytes": self.read_bytes}
+        return {"needed_pages": self.needed, "drawn_pages": self.drawn, "points": self.points, **read}
+
+
+@record
+class _Scan:
+    """A geometry that is read by pages, with the views of its instances (I, 4, 4)."""
+
+    row: int
+    geometry: Geometry
+    streamed: StreamedScan
+    view_from_object: np.ndarray
+
+
+def with_pages(
+    scene: Scene,
+    camera: Camera,
+    settings: Settings,
+    store: Store,
+    interactive: bool,
+    check: Callable[[], None],
+    pool: PagePool = POOL,
+) -> tuple[Scene, Streamed | None]:
+    """Returns the scene with clouds in the place of scans that are read by pages, and what was read; None: there are no
+    such scans.
+
+    `check` is called while pages are read, and may raise to stop.
+    """
+    scans = _scans(scene, camera)
+    if not scans:
+        return scene, None
+    pool.budget = settings.memory_budget * MEGABYTE
+    before = [(scan.read_pages, scan.read_bytes) for scan in _files(scans)]
+    warnings: list[str] = []
+    for scan in _files(scans):
+        pool.refresh(scan)
+    if not interactive:
+        _wait(pool, lambda: any(scan.tree is None and not scan.failure for scan in _files(scans)), check, warnings)
+    needs = [_need(scan, camera, settings.tolerance) for scan in scans]
+    view = "viewport" if interactive else "picture"
+    wishes = sorted(
+        (wish for scan, need in zip(scans, needs, strict=True) for wish in _wishes(scan, need)), key=lambda w: -w.gain
+    )
+    fitting = pool.want(view, wishes)
+    if not interactive:
+        _wait(pool, lambda: pool.is_busy(view), check, warnings)
+        fitting = min(fitting, pool.want(view, wishes))
+        if fitting < len(wishes):
+            warnings.append(
+                f"The memory budget of {settings.memory_budget:,} MB holds {fitting:,} of {len(wishes):,} pages that"
+                " the tolerance needs: coarser ones are drawn"
+            )
+    for scan in _files(scans):
+        warnings += scan.warnings
+    fits = {wish.key for wish in wishes[:fitting]}
+    geometries = list(scene.geometries)
+    drawn = points = 0
+    for scan, need in zip(scans, needs, strict=True):
+        shown, count = _shown(scan, need, fits, pool, store)
+        geometries[scan.row] = shown
+        drawn += count
+        points += 0 if shown.cloud is None else len(shown.cloud)
+    store.forget_streamed(tuple(geometries[scan.row].key for scan in scans))
+    read = np.array([(scan.read_pages, scan.read_bytes) for scan in _files(scans)]) - before
+    pages, size = read.sum(axis=0).tolist()
+    found = Streamed(
+        len(wishes), drawn, points, pages, size, pool.is_busy(view), tuple(dict.fromkeys(warnings))
+    )
+    return replace(scene, geometries=tuple(geometries)), found
+
+
+def _scans(scene: Scene, camera: Camera) -> list[_Scan]:
+    found = []
+    for row, geometry in enumerate(scene.geometries):
+        if geometry.streamed is not None and not geometry.key.startswith(STREAMED_NAME):  # or it has its cloud
+            where = scene.instances.geometry == row
+            with np.errstate(all="ignore"):
+                views = camera.view_from_world @ scene.instances.world_from_object[where]
+            found.append(_Scan(row, geometry, geometry.streamed, views))
+    return found
+
+
+def _files(scans: list[_Scan]) -> list:
+    """The files of scans, each once."""
+    return list(dict.fromkeys(scan.streamed.scan for scan in scans))
+
+
+def _wait(pool: PagePool, unfinished: Callable[[], bool], check: Callable[[], None], warnings: list[str]) -> None:
+    """Waits for pages, until none comes for too long."""
+    seen, idle = pool.arrivals, 0.0
+    while unfinished():
+        check()
+        pool.wait(WAIT, seen)
+        idle = idle + WAIT if pool.arrivals == seen else 0.0
+        seen = pool.arrivals
+        if idle > PATIENCE:
+            warnings.append(f"No page of a scan has come for {PATIENCE:.0f} seconds: what is there is drawn")
+            return
+
+
+def _need(scan: _Scan, camera: Camera, tolerance: float) -> Need:
+    tree = scan.streamed.scan.tree
+    if tree is None or len(scan.view_from_object) == 0:
+        return Need(np.empty(0, np.int64), np.empty(0))
+    return needed_pages(tree, scan.view_from_object, camera, tolerance)
+
+
+def _wishes(scan: _Scan, need: Need) -> list[Wish]:
+    return wishes_of(scan.streamed.scan, scan.streamed.look, need.pages, need.gain)
+
+
+def _shown(scan: _Scan, need: Need, fits: set, pool: PagePool, store: Store) -> tuple[Geometry, int]:
+    """The geometry that a view draws of a scan, and of how many pages."""
+    streamed, geometry = scan.streamed, scan.geometry
+    wanted = [wish.page for wish in _wishes(scan, need) if wish.key in fits]
+    tree = streamed.scan.tree
+    there = pool.pages(streamed.scan, streamed.look, wanted) if tree is not None else {}
+    if 0 not in there:
+        name = f"{STREAMED_NAME}{geometry.key} stand-in"
+        return replace(geometry, key=name, cloud=streamed.stand_in), 0
+    cut = cut_pages(tree, there)
+    boxes = b"" if streamed.box_from_object is None else streamed.box_from_object.tobytes()
+    name = f"{STREAMED_NAME}{geometry.key} {streamed.scan.number} {cut.digest}"
+
+    def make() -> PointCloud | None:
+        cloud = cloud_of_cut(tree, cut, there, streamed.size)
+        return cloud if cloud is None or not boxes else clipped(cloud, streamed)
+
+    cloud = store.lookup(Key(Kind.STREAMED, name), make)
+    return replace(geometry, key=name, cloud=cloud), len(cut)
+
+
+def clipped(cloud: PointCloud, streamed: StreamedScan) -> PointCloud | None:
+    """Returns the splats of a cloud that clip boxes keep; None without any."""
+    assert streamed.box_from_object is not None
+    kept = within(cloud.position, streamed.box_from_object) == streamed.inside
+    if kept.all():
+        return cloud
+    return cloud.take(np.flatnonzero(kept)) if kept.any() else None

@@ -1,0 +1,67 @@
+"""Which pages of a scan a view needs, and how much each of them adds to the picture.
+
+A page is needed where it may be seen and its parent's elements lie farther apart on the screen than the tolerance
+(Gobbetti and Marton 2004; Schütz 2016). What a page adds is how far apart they lie: pages of a view come in an order
+in which each pixel gets coarse things before any gets fine ones.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..core.lod.criteria import criteria_of
+from ..core.numeric.record import record
+from ..core.scene.camera import Camera
+from ..formats.hierarchies.source import Directory
+from .tree import PageTree
+
+MARGIN = 4.0  # pixels around the picture: elements there may reach into it
+
+
+@record
+class Need:
+    """What a view needs of a scan."""
+
+    pages: np.ndarray  # (K,) int64, in the order of what they add: parents come before their children
+    gain: np.ndarray  # (K,) float64 pixels, falling: how far apart the elements of their parents lie
+
+
+def needed_pages(tree: PageTree, view_from_object: np.ndarray, camera: Camera, tolerance: float) -> Need:
+    """Returns the pages that a view of instances (I, 4, 4) needs. `tolerance`: pixels between neighbours."""
+    spacing = np.zeros(len(tree))
+    for matrix in view_from_object:
+        np.maximum(spacing, projected_spacing(tree.directory, matrix, camera, tolerance), out=spacing)
+    parent = tree.directory.parent
+    gain = np.where(spacing > 0, np.inf, 0.0)
+    gain[1:] = 0.0
+    for rows in tree.levels[1:]:
+        above = parent[rows]
+        wanted = (spacing[rows] > 0) & (gain[above] > 0) & (spacing[above] > tolerance)
+        gain[rows] = np.where(wanted, np.minimum(spacing[above], gain[above]), 0.0)
+    pages = np.flatnonzero(gain > 0)
+    pages = pages[np.argsort(-gain[pages], kind="stable")]
+    return Need(pages, gain[pages])
+
+
+def projected_spacing(directory: Directory, matrix: np.ndarray, camera: Camera, tolerance: float = 1.0) -> np.ndarray:
+    """(P,) float64 pixels: how far apart the elements of each page lie at most, at the nearest depth of its bounds; 0:
+    it is out of view. `matrix`: (4, 4) view from object."""
+    if not np.isfinite(matrix).all():
+        return np.zeros(len(directory))
+    criteria = criteria_of(camera, tolerance, MARGIN)
+    middle = directory.bounds.mean(axis=1)
+    half = 0.5 * (directory.bounds[:, 1] - directory.bounds[:, 0])
+    scale = float(np.linalg.svd(matrix[:3, :3], compute_uv=False).max())
+    beyond = directory.spacing * scale
+    seen = np.ones(len(directory), bool)
+    for plane in criteria.planes:
+        along = plane[:3] @ matrix[:3, :3]
+        with np.errstate(invalid="ignore"):
+            most = middle @ along + half @ np.abs(along) + plane[:3] @ matrix[:3, 3] + plane[3] + beyond
+        seen &= ~(most < 0)
+    depth = 1.0
+    if criteria.perspective:
+        row = matrix[2, :3]
+        depth = np.maximum(-(middle @ row + matrix[2, 3]) - half @ np.abs(row), max(criteria.near, 1e-9))
+    focal = criteria.tolerance / (2 * criteria.limit)
+    return np.where(seen, np.maximum(beyond * focal / depth, 1e-12), 0.0)

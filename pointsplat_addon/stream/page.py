@@ -1,0 +1,55 @@
+"""A page in memory: its splats, in runs of those that lie in the same deepest page below it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..core.numeric.record import record
+from ..core.scene.cloud import PointCloud
+from ..core.scene.streamed import PageLook
+from ..core.scene.valid.geometry import valid_points
+from ..core.surface.nearest import median_spacing
+from ..formats.points.reader import Columns
+from .tree import PageTree
+
+
+@record
+class Page:
+    """The splats of one page. Points have no radii, nodes have theirs."""
+
+    cloud: PointCloud | None  # None: nothing of it is drawn
+    deepest: np.ndarray  # (R,) int32: the deepest page of the scan in which each run of splats lies
+    count: np.ndarray  # (R,) int64: splats of the runs
+    spacing: float  # typical distance between neighbours where no page below this one is drawn, object units
+
+    @property
+    def nbytes(self) -> int:
+        return self.deepest.nbytes + self.count.nbytes + (0 if self.cloud is None else self.cloud.nbytes)
+
+
+def make_page(tree: PageTree, page: int, elements: Columns, look: PageLook) -> Page:
+    """Returns a page of a scan's elements, in a look."""
+    directory = tree.directory
+    cloud = look.cloud(elements, directory.additive)
+    cloud = None if cloud is None else valid_points(cloud)[0]
+    none = np.empty(0, np.int32)
+    if cloud is None or len(cloud) == 0:
+        return Page(None, none, none.astype(np.int64), float(directory.spacing[page]))
+    deepest = tree.deepest(page, cloud.position)
+    if (deepest[1:] < deepest[:-1]).any():
+        order = np.argsort(deepest, kind="stable")
+        cloud, deepest = cloud.take(order), deepest[order]
+    first = np.flatnonzero(np.r_[True, deepest[1:] != deepest[:-1]])
+    count = np.diff(np.r_[first, len(deepest)])
+    return Page(cloud, deepest[first], count, _spacing(tree, page, elements["position"]))
+
+
+def _spacing(tree: PageTree, page: int, position: np.ndarray) -> float:
+    """How far apart neighbours lie where a page is the deepest. Points of pages without any below them are as dense as
+    the scan is there, which the level does not tell."""
+    directory = tree.directory
+    own = float(directory.spacing[page])
+    if not (directory.additive and tree.is_leaf[page]) or page == 0:
+        return own
+    above = float(directory.spacing[directory.parent[page]])
+    return float(np.clip(median_spacing(position) or above, own, above))

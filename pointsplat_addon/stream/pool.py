@@ -1,0 +1,271 @@
+"""Reads pages on threads, in the order of what they add, and keeps them within a budget of bytes.
+
+What views need is asked for whole each time, so that nothing waits in a queue that no view needs any more. Pages that
+are needed stay; of the others those go first that were needed the longest ago. Bytes are set aside before a page is
+read, so that what is kept never exceeds the budget.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from ..core.scene.streamed import PageLook
+from .page import Page
+from .scan import PagedScan
+
+BUDGET = 2000 << 20  # bytes, until settings say
+FIRST_GUESS = 40  # bytes of an element in memory, until a page of the look was read
+LOOK_AGAIN = 2.0  # seconds after which a file is asked again whether it is still the same
+MOST_THREADS = 4
+
+
+class PageKey(NamedTuple):
+    """A page of a file as it was opened, in a look."""
+
+    number: int
+    look: str
+    page: int
+
+
+class Wish(NamedTuple):
+    """A page that a view needs."""
+
+    gain: float  # what it adds: those of most are read first
+    scan: PagedScan
+    look: PageLook
+    page: int
+
+    @property
+    def key(self) -> PageKey:
+        return PageKey(self.scan.number, self.look.key, self.page)
+
+
+@dataclass(eq=False)
+class _Kept:
+    page: Page
+    nbytes: int
+    needed: int  # number of the last view that needed it
+
+
+@dataclass(eq=False)
+class _View:
+    """What one kind of view needs."""
+
+    wishes: list[Wish] = field(default_factory=list)
+    keys: frozenset[PageKey] = frozenset()
+
+
+class PagePool:
+    """Pages of all scans of a session."""
+
+    def __init__(self, budget: int = BUDGET, threads: int = 0) -> None:
+        """`budget`: bytes. `threads`: 0 takes as many as there are processors, at most MOST_THREADS."""
+        self.budget = budget
+        self.arrivals = 0  # rises with each page, and with each file that was opened or has changed
+        self.most_bytes = 0  # that were kept and set aside at any time
+        self._threads = threads or min(max(os.cpu_count() or 1, 2), MOST_THREADS)
+        self._kept: dict[PageKey, _Kept] = {}
+        self._bytes = self._aside = 0
+        self._of_element: dict[str, float] = {}  # bytes in memory, by look
+        self._views: dict[str, _View] = {}
+        self._number = 0  # of views
+        self._reading: set[PageKey] = set()
+        self._refreshing: set[PagedScan] = set()
+        self._asked: list[PagedScan] = []
+        self._looked: dict[PagedScan, float] = {}
+        self._change = threading.Condition()
+        self._started: list[threading.Thread] = []
+
+    # What views ask
+
+    def refresh(self, scan: PagedScan) -> None:
+        """Has a file opened, or compared with what it was, on a thread; at most every LOOK_AGAIN seconds."""
+        now = time.monotonic()
+        with self._change:
+            if now - self._looked.get(scan, -1e9) < LOOK_AGAIN or scan in self._refreshing or scan in self._asked:
+                return
+            self._looked[scan] = now
+            self._asked.append(scan)
+            self._start()
+            self._change.notify_all()
+
+    def want(self, view: str, wishes: Sequence[Wish], spare: Sequence[Wish] = ()) -> int:
+        """Asks for all that a view needs, in the order of what it adds, instead of what it asked for before; returns how
+        many of these pages fit the budget together. `view`: which of them. `spare`: what it may need next, which is
+        read when all else is there."""
+        with self._change:
+            self._number += 1
+            room, fitting = self.budget, 0
+            for wish in wishes:
+                room -= self._size(wish)
+                if room < 0:
+                    break
+                fitting += 1
+            some = list(wishes[:fitting])
+            for wish in spare:
+                room -= self._size(wish)
+                if room < 0:
+                    break
+                some.append(wish._replace(gain=0.0))
+            self._views[view] = _View(some, frozenset(wish.key for wish in some))
+            for wish in some:
+                if (kept := self._kept.get(wish.key)) is not None:
+                    kept.needed = self._number
+            self._trim(0)
+            self._start()
+            self._change.notify_all()
+            return fitting
+
+    def pages(self, scan: PagedScan, look: PageLook, wanted: Sequence[int]) -> dict[int, Page]:
+        """Returns those of the wanted pages that are there."""
+        number, key = scan.number, look.key
+        with self._change:
+            found = {page: self._kept.get(PageKey(number, key, page)) for page in wanted}
+        return {page: kept.page for page, kept in found.items() if kept is not None}
+
+    def wait(self, seconds: float, seen: int) -> None:
+        """Waits until `arrivals` is no longer `seen`, at most so long."""
+        with self._change:
+            self._change.wait_for(lambda: self.arrivals != seen, seconds)
+
+    def is_busy(self, view: str) -> bool:
+        """Whether something that a view asked for is still to come."""
+        with self._change:
+            if self._asked or self._refreshing:
+                return True
+            wishes = self._views.get(view)
+            return wishes is not None and any(self._is_missing(wish) for wish in wishes.wishes)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all pages that are kept."""
+        return self._bytes
+
+    def clear(self) -> None:
+        """Drops all pages and forgets what was asked for."""
+        with self._change:
+            self._kept.clear()
+            self._views.clear()
+            self._asked.clear()
+            self._looked.clear()
+            self._bytes = 0
+
+    # What threads do
+
+    def _start(self) -> None:
+        """Starts the threads, which do not keep the program from ending: a disk may let them wait for ever."""
+        while len(self._started) < self._threads:
+            name = f"PointSplat pages {len(self._started)}"
+            thread = threading.Thread(target=self._work, name=name, daemon=True)
+            self._started.append(thread)
+            thread.start()
+
+    def _work(self) -> None:
+        while True:
+            with self._change:
+                self._change.wait_for(lambda: bool(self._asked) or self._next() is not None)
+                if self._asked:
+                    scan = self._asked.pop(0)
+                    self._refreshing.add(scan)
+                    wish = None
+                else:
+                    wish = self._next()
+                    if wish is None:
+                        continue
+                    key, size = wish.key, self._size(wish)
+                    self._reading.add(key)
+                    self._aside += size
+                    self.most_bytes = max(self.most_bytes, self._bytes + self._aside)
+                    scan = wish.scan
+            if wish is None:
+                self._refresh(scan)
+            else:
+                self._read(wish, key, size)
+            del scan, wish
+
+    def _refresh(self, scan: PagedScan) -> None:
+        changed = True
+        try:
+            changed = scan.refresh()
+        finally:
+            with self._change:
+                self._refreshing.discard(scan)
+                self.arrivals += changed
+                self._change.notify_all()
+
+    def _read(self, wish: Wish, key: PageKey, size: int) -> None:
+        page = None
+        try:
+            page = wish.scan.read(wish.page, wish.look)
+        finally:
+            with self._change:
+                self._reading.discard(key)
+                self._aside -= size
+                if page is not None and wish.scan.number == key.number:
+                    self._keep(wish, key, page)
+                self.arrivals += 1
+                self._change.notify_all()
+
+    def _keep(self, wish: Wish, key: PageKey, page: Page) -> None:
+        count = int(wish.scan.source.directory.count[wish.page]) if wish.scan.source is not None else 0
+        if count:
+            known = self._of_element.get(wish.look.key, 0.0)
+            self._of_element[wish.look.key] = max(known, page.nbytes / count)
+        self._trim(page.nbytes)
+        if self._bytes + self._aside + page.nbytes > self.budget:
+            return
+        self._kept[key] = _Kept(page, page.nbytes, self._number)
+        self._bytes += page.nbytes
+        self.most_bytes = max(self.most_bytes, self._bytes + self._aside)
+
+    def _size(self, wish: Wish) -> int:
+        """Bytes that a page takes in memory, as far as is known."""
+        kept = self._kept.get(wish.key)
+        if kept is not None:
+            return kept.nbytes
+        source = wish.scan.source
+        count = 0 if source is None else int(source.directory.count[wish.page])
+        return int(count * self._of_element.get(wish.look.key, FIRST_GUESS))
+
+    def _is_missing(self, wish: Wish) -> bool:
+        return wish.key not in self._kept and wish.page not in wish.scan.damaged
+
+    def _next(self) -> Wish | None:
+        """The page that adds the most of those that are missing and for which there is room."""
+        best: Wish | None = None
+        for view in self._views.values():
+            for wish in view.wishes:
+                if best is not None and wish.gain <= best.gain:
+                    break
+                if self._is_missing(wish) and wish.key not in self._reading:
+                    best = wish
+                    break
+        if best is None:
+            return None
+        size = self._size(best)
+        self._trim(size)
+        return best if self._bytes + self._aside + size <= self.budget else None
+
+    def _trim(self, more: int) -> None:
+        """Drops pages that no view needs, those first that were needed the longest ago, until so many more bytes fit."""
+        if self._bytes + self._aside + more <= self.budget:
+            return
+        needed = frozenset().union(*(view.keys for view in self._views.values()))
+        loose = sorted((kept.needed, key) for key, kept in self._kept.items() if key not in needed)
+        for _, key in loose:
+            self._bytes -= self._kept.pop(key).nbytes
+            if self._bytes + self._aside + more <= self.budget:
+                return
+
+
+POOL = PagePool()
+
+
+def wishes_of(scan: PagedScan, look: PageLook, pages: Any, gain: Any) -> list[Wish]:
+    """Returns wishes of pages (K,) by what they add (K,), falling."""
+    return [Wish(g, scan, look, p) for p, g in zip(pages.tolist(), gain.tolist(), strict=True)]
