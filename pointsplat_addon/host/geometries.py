@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import bpy
+import numpy as np
 
 from ..core.material.graph import MaterialGraph, needs
 from ..core.scene import mesh as mesh_module
 from ..core.scene import scene
 from ..core.scene.cloud import PointCloud
 from ..core.scene.materials import MaterialTable
+from ..core.scene.streamed import StreamedScan
 from ..core.scene.volume import Medium
 from ..core.surface.neighbourhoods.estimate import Ellipses
+from ..stream.scan import scan_at
+from .convert.arrays import digest
 from .convert.captured import is_captured, read_captured
 from .convert.mesh import is_loose_vertices, read_mesh
 from .convert.objects import Source
+from .convert.pages import LinkedScan, ScanLook, point_size
 from .convert.pointcloud import convert_points, read_pointcloud
 from .convert.sample_material import SampleMaterial, sample_material
 from .convert.selection.clip_boxes import clipped
@@ -104,6 +110,8 @@ class Geometries:
 
         if is_captured(source.data) and not source.particles:
             return self._convert_captured(source)
+        if source.scan is not None:
+            return self._convert_scan(source, source.scan, material, lookup, parts)
         if source.particles:
             key, cloud = convert_points(source.particles, material, lookup)
         elif isinstance(source.data, bpy.types.PointCloud):
@@ -127,6 +135,31 @@ class Geometries:
             )  # fmt: skip
 
         key = f"{key} {primitive} {spacing:g} {extinction:g} {pixels:g}"
+        return self._cache.lookup(key, build), tuple(parts), warnings
+
+    def _convert_scan(
+        self,
+        source: Source,
+        scan: LinkedScan,
+        material: SampleMaterial,
+        lookup: Callable[[str, Callable[[], Any]], Any],
+        parts: list[Ellipses | PointCloud],
+    ) -> tuple[scene.Geometry | None, tuple[Ellipses | PointCloud, ...], tuple[str, ...]]:
+        """The geometry of a scan that is read by pages, for which the object's points stand in; and warnings."""
+        shape = replace(source.shape, kind="BALLS" if source.shape.kind == "BALLS" else "GIVEN")
+        own, stand_in, messages = _read_points(replace(source, shape=shape), source.data, material, lookup)  # pyright: ignore[reportArgumentType]
+        look = ScanLook(material, source.filters, source.shape)
+        boxes = None if source.clip is None else np.array(source.clip.box_from_object).reshape(-1, 4, 4)
+        boxes = None if boxes is None or len(boxes) == 0 else boxes
+        inside = source.clip is None or source.clip.inside
+        size = point_size(source.shape)
+        key = f"{scan.path} {own} {look.key} {size} {digest(boxes, inside)} {source.pixel_radius:g} pages"
+
+        def build() -> scene.Geometry:
+            streamed = StreamedScan(scan_at(scan.path), look, size, boxes, inside, stand_in)
+            return scene.Geometry(key, source.name, streamed=streamed, pixel_radius=source.pixel_radius)
+
+        warnings = tuple(f"{source.name}: {message}" for message in messages)
         return self._cache.lookup(key, build), tuple(parts), warnings
 
     def _convert_captured(
@@ -188,7 +221,7 @@ def _source_key(source: Source, rows: tuple[int, ...], table: MaterialTable) -> 
     """
     digests = tuple(graph.digest if (graph := _graph(table, row)) else "" for row in rows)
     settings = source.primitive, source.spacing, source.extinction, source.shape
-    settings = *settings, source.pixel_radius, source.filters, source.clip, source.antialiased, source.motion
+    settings = *settings, source.scan, source.pixel_radius, source.filters, source.clip, source.antialiased, source.motion
     key = (source.data.session_uid, rows, digests, *settings)
     if source.smoke:
         key = (*key, source.smoke.key)

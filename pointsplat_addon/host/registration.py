@@ -7,11 +7,12 @@ import atexit
 import bpy
 
 from . import caches, engine
+from .scans import linked_operators as linked
 from .scans import operators as scans
 from .splats import operators as splats
 from .ui import operators, panels, point_filters, point_panels, preferences, properties
 
-MODULES = (point_filters, properties, operators, scans, splats, preferences, engine, panels, point_panels)
+MODULES = (point_filters, properties, operators, scans, linked, splats, preferences, engine, panels, point_panels)
 CLASSES = tuple(cls for module in MODULES for cls in module.CLASSES)
 
 _registered = False
@@ -34,6 +35,7 @@ def register() -> None:
     properties.register()
     operators.register()
     scans.register()
+    linked.register()
     splats.register()
     panels.register()
     caches.register()
@@ -53,6 +55,7 @@ def unregister() -> None:
     atexit.unregister(unregister)
     panels.unregister()
     splats.unregister()
+    linked.unregister()
     scans.unregister()
     operators.unregister()
     properties.unregister()

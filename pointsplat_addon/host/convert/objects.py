@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import bpy
@@ -10,6 +11,7 @@ import numpy as np
 
 from ...core.scene.volume import Transfer
 from .captured import ANTIALIASED
+from .pages import LinkedScan
 from .particles import read_particles
 from .point_shapes import PointShape, pixel_radius_of, shape_of
 from .pointcloud import Points
@@ -54,6 +56,7 @@ class Source:
     filters: Filters | None = None  # of points
     clip: Clip | None = None  # of points
     antialiased: bool = False  # of captured splats
+    scan: LinkedScan | None = None  # the file that the points stand for
     motion: float = 0.0  # of points: seconds of a frame, where a pass asks how they move
 
     @property
@@ -177,7 +180,16 @@ def _make_source(
         filters=filters_of(ob),
         antialiased=ob.type == "POINTCLOUD" and bool(ob.original.get(ANTIALIASED, False)),
         clip=clip,
+        scan=linked_scan(ob),
     )
+
+
+def linked_scan(ob: bpy.types.Object) -> LinkedScan | None:
+    """Returns the file of a scan that an object stands for; None: it is what it is."""
+    original = ob.original
+    if ob.type != "POINTCLOUD" or not original.pointsplat.scan_path:
+        return None
+    return LinkedScan(Path(bpy.path.abspath(original.pointsplat.scan_path, library=original.library)))
 
 
 def _particles(emitter: Source, ob: bpy.types.Object, override: bpy.types.Material | None, final: bool) -> list[Source]:

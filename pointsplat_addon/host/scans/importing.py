@@ -44,7 +44,7 @@ def import_scan(
         warnings.append(f"{found.dropped:,} points without a position are left out")
     crs = readers[0].header.crs
     found.warnings = warnings + found.warnings
-    ob = _placed(context, _name(paths), found, crs, unit)
+    ob = placed(context, _name(paths), found, crs, unit)
     return ob, found.warnings
 
 
@@ -54,7 +54,7 @@ def _name(paths: Sequence[Path]) -> str:
     return paths[0].stem.removesuffix(".copc") if alone else paths[0].parent.name
 
 
-def _placed(context: Any, name: str, found: Gathered, crs: str, unit: float) -> bpy.types.Object:
+def placed(context: Any, name: str, found: Gathered, crs: str, unit: float) -> bpy.types.Object:
     """The object of the points, in the scene."""
     origin = found.origin
     ob = scan_object(name, found, crs)

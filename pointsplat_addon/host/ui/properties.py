@@ -106,6 +106,14 @@ class PointSplatObject(bpy.types.PropertyGroup):
         default="OBJECT",
         update=changed,
     )
+    scan_path: StringProperty(
+        name="File",
+        description="The file of the scan that the object's points stand for: of an Entwine folder its ept.json, or COPC."
+        " Pictures show what they need of it",
+        default="",
+        subtype="FILE_PATH",
+        update=changed,
+    )
     filters: CollectionProperty(
         type=PointSplatFilter,
         name="Filters",

@@ -5,7 +5,7 @@ They are evaluated before anything is made of the points: what is left out is no
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import bpy
@@ -14,7 +14,7 @@ import numpy as np
 from ....core.numeric.record import value_record
 from ....core.numeric.vectors import each_block
 from .. import arrays
-from ..point_shapes import STATIONS, station_of
+from ..point_shapes import STATION, STATIONS, station_of
 
 ORIGIN = "pointsplat_origin"  # custom property of an object: map coordinates of its own origin, three doubles
 ATTRIBUTES = {
@@ -66,13 +66,14 @@ def filters_of(ob: bpy.types.Object) -> Filters | None:
 
 
 def kept_points(data: Any, filters: Filters) -> tuple[np.ndarray | None, tuple[str, ...]]:
-    """Rows (K,) of the points of a point cloud that meet all filters, None for all; and what went wrong.
+    """Rows (K,) of the points of a point cloud, or of columns by name, that meet all filters, None for all; and what
+    went wrong.
 
     A filter that cannot be evaluated keeps all points.
     """
-    if len(data.points) == 0:  # not even positions
+    if _count(data) == 0:  # not even positions
         return None, ()
-    kept = np.ones(len(data.points), bool)
+    kept = np.ones(_count(data), bool)
     messages = []
     for one in filters.filters:
         try:
@@ -96,6 +97,10 @@ def values(data: Any, kind: str, attribute: str, filters: Filters) -> np.ndarray
     return np.sqrt(np.einsum("ij,ij->i", found[:, :3], found[:, :3], dtype=np.float64))
 
 
+def _count(data: Any) -> int:
+    return len(data["position"]) if isinstance(data, Mapping) else len(data.points)
+
+
 def class_numbers(text: str) -> frozenset[int]:
     """The numbers of classes that a text such as "2, 6" lists. Raises FilterError where it has something else."""
     words = text.replace(",", " ").split()
@@ -108,7 +113,7 @@ def _met(data: Any, one: PointFilter, filters: Filters) -> np.ndarray:
     """(N,) bool: which points meet a filter."""
     classes = class_numbers(one.classes) if one.kind == "CLASS" else frozenset()
     if one.kind == "CLASS" and not classes:
-        return np.ones(len(data.points), bool)
+        return np.ones(_count(data), bool)
     value = values(data, one.kind, one.attribute, filters)
     met = np.empty(len(value), bool)
 
@@ -125,6 +130,12 @@ def _met(data: Any, one: PointFilter, filters: Filters) -> np.ndarray:
 
 def _attribute(data: Any, name: str, what: str) -> np.ndarray:
     """An attribute of the points as numbers, (N,) or (N, 3 | 4)."""
+    if isinstance(data, Mapping):
+        if name not in data:
+            raise FilterError(
+                f'There is no attribute "{name}" to filter by' if name else f"The filter by {what} names none"
+            )
+        return data[name]
     attribute = data.attributes.get(name)
     if attribute is None or attribute.domain != "POINT" or len(attribute.data) != len(data.points):
         raise FilterError(
@@ -143,7 +154,9 @@ def _attribute(data: Any, name: str, what: str) -> np.ndarray:
 def _distance(data: Any, position: np.ndarray, stations: Iterable[float]) -> np.ndarray:
     """(N,) float32 distances of points (N, 3) to the scanner that saw them, else to the object's origin."""
     places = np.array(tuple(stations) or (0.0, 0.0, 0.0), np.float32).reshape(-1, 3)
-    row = station_of(data) if len(places) > 1 else None
+    row = None
+    if len(places) > 1:
+        row = data.get(STATION) if isinstance(data, Mapping) else station_of(data)
     found = np.empty(len(position), np.float32)
 
     def fill(block: slice) -> None:

@@ -58,6 +58,8 @@ class Uploads:
             if motion:
                 rows = previous_clip_from_view(scene, camera, prepared.view_from_object)
                 self.previous = self._scope.texture(rows)
+            if any(geometry.streamed is not None for geometry in scene.geometries):
+                kept.forget_streamed()
             kept.trim_unused()
         except Exception:
             self.release()
