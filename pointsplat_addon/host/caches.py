@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from . import engine
+from ..stream.pool import POOL
+from . import engine, page_arrivals
 from .convert.material import images
 from .device import gl_thread
 from .device.main_gpu import MAIN_GPU
@@ -22,6 +23,8 @@ def release() -> None:
     MAIN_GPU.release()
     gl_thread.THREAD.release()
     FinalRender.last_scene = None
+    page_arrivals.stop()
+    POOL.clear()
     STORE.clear()
     CACHE.clear()
     images.clear()

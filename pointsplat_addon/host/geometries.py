@@ -221,7 +221,15 @@ def _source_key(source: Source, rows: tuple[int, ...], table: MaterialTable) -> 
     """
     digests = tuple(graph.digest if (graph := _graph(table, row)) else "" for row in rows)
     settings = source.primitive, source.spacing, source.extinction, source.shape
-    settings = *settings, source.scan, source.pixel_radius, source.filters, source.clip, source.antialiased, source.motion
+    settings = (
+        *settings,
+        source.scan,
+        source.pixel_radius,
+        source.filters,
+        source.clip,
+        source.antialiased,
+        source.motion,
+    )
     key = (source.data.session_uid, rows, digests, *settings)
     if source.smoke:
         key = (*key, source.smoke.key)

@@ -20,7 +20,8 @@ from ..render.device.protocol import DeviceError
 from ..render.frame.frame import Frame
 from ..render.plan.request import Request
 from ..shading.sources import ShaderError
-from . import disk_cache
+from ..stream.pool import POOL
+from . import disk_cache, page_arrivals
 from .convert.camera import pixel_size, viewport_camera
 from .device.main_gpu import MAIN_GPU
 from .sync import Synchronizer
@@ -92,9 +93,12 @@ class Viewport:
             wait(MAIN_GPU.renderer().device)
             self._pace.measured(time.perf_counter() - began)
         _present(frame, camera, smooth=self._coarse and frame.frame_plan.request.camera.window != camera.window)
-        engine.update_stats("", "")
+        streamed = frame.frame_plan.streamed
+        engine.update_stats("", "" if streamed is None else streamed.progress)
         if more or self._coarse:
             engine.tag_redraw()
+        if streamed is not None and streamed.waiting:
+            page_arrivals.watch()
 
     def _frame_for(
         self, scene: scene_module.Scene, camera: camera_module.Camera, settings: settings_module.Settings, pixel: int
@@ -111,6 +115,8 @@ class Viewport:
             self._changed_at, self._view = now, view
         elif self._coarse and now - self._changed_at > STILL_SECONDS:
             self._coarse = False
+        elif not self._shows_all_pages():
+            pass  # at the same fineness, with what has come since
         else:
             return self._frame
         self._drop()
@@ -137,6 +143,11 @@ class Viewport:
             request = self._pacing.request
         self._frame = renderer.start(scene, request)
         return self._frame
+
+    def _shows_all_pages(self) -> bool:
+        """Whether the frame shows all pages of scans that it needs, or all of them that have come."""
+        streamed = None if self._frame is None else self._frame.frame_plan.streamed
+        return streamed is None or not streamed.waiting or streamed.arrivals == POOL.arrivals
 
     def _drop(self) -> None:
         """Release the frame, so that the next drawing starts another."""

@@ -95,8 +95,8 @@ class PagePool:
             self._change.notify_all()
 
     def want(self, view: str, wishes: Sequence[Wish], spare: Sequence[Wish] = ()) -> int:
-        """Asks for all that a view needs, in the order of what it adds, instead of what it asked for before; returns how
-        many of these pages fit the budget together. `view`: which of them. `spare`: what it may need next, which is
+        """Asks for all that a view needs, in the order of what it adds, instead of what it asked for before; returns
+        how many of these pages fit the budget together. `view`: which of them. `spare`: what it may need next, which is
         read when all else is there."""
         with self._change:
             self._number += 1
@@ -138,8 +138,8 @@ class PagePool:
         with self._change:
             if self._asked or self._refreshing:
                 return True
-            wishes = self._views.get(view)
-            return wishes is not None and any(self._is_missing(wish) for wish in wishes.wishes)
+            wanted = self._views.get(view)
+            return wanted is not None and (not wanted.keys.isdisjoint(self._reading) or self._next() is not None)
 
     @property
     def nbytes(self) -> int:
@@ -252,7 +252,8 @@ class PagePool:
         return best if self._bytes + self._aside + size <= self.budget else None
 
     def _trim(self, more: int) -> None:
-        """Drops pages that no view needs, those first that were needed the longest ago, until so many more bytes fit."""
+        """Drops pages that no view needs, those first that were needed the longest ago, until so many more bytes
+        fit."""
         if self._bytes + self._aside + more <= self.budget:
             return
         needed = frozenset().union(*(view.keys for view in self._views.values()))

@@ -17,8 +17,8 @@ from .cloud import PointCloud
 from .lights import Light
 from .materials import MaterialTable
 from .mesh import Mesh
-from .streamed import StreamedScan
 from .strands import Strands
+from .streamed import StreamedScan
 from .volume import Volume
 from .world import Mist, World
 

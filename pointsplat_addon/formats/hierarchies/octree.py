@@ -78,8 +78,8 @@ class PointsOfPages:
         self._start = 0.0
 
     def elements(self, points: Columns) -> Columns:
-        """Returns points as `PageSource.read` does. gps_time counts from the root's first; all numbers that are no whole
-        ones are float32."""
+        """Returns points as `PageSource.read` does. gps_time counts from the root's first; all numbers that are not
+        whole are float32."""
         if self._coding is None:
             time = points.get("gps_time", np.zeros(0))
             time = time[np.isfinite(time)]

@@ -108,8 +108,8 @@ class PointSplatObject(bpy.types.PropertyGroup):
     )
     scan_path: StringProperty(
         name="File",
-        description="The file of the scan that the object's points stand for: of an Entwine folder its ept.json, or COPC."
-        " Pictures show what they need of it",
+        description="The file of the scan that the object's points stand for: of an Entwine folder its ept.json, or "
+        "COPC. Pictures show what they need of it",
         default="",
         subtype="FILE_PATH",
         update=changed,

@@ -152,9 +152,7 @@ def make_frame_plan(
     `limits`, `costs`: of the device. `clock`: is told what shadows take. `presented`: the picture is shown between
     samples, too. `picture`: Combined is drawn, not auxiliary passes alone. Raises Cancelled where the clock says so.
     """
-    scene, streamed = with_pages(
-        scene, request.camera, request.settings, store, request.interactive, clock.check
-    )
+    scene, streamed = with_pages(scene, request.camera, request.settings, store, request.interactive, clock.check)
     scene, camera = validate(
         scene, request.camera, lambda content, make: store.lookup(Key(Kind.VALIDATED, content), make)
     )

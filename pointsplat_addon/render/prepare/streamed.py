@@ -21,12 +21,14 @@ from ...core.scene.streamed import StreamedScan
 from ...stream.cut import cloud_of_cut, cut_pages
 from ...stream.need import Need, needed_pages
 from ...stream.pool import POOL, PagePool, Wish, wishes_of
+from ...stream.tree import PageTree
 from ..cache.keys import STREAMED_NAME, Key, Kind
 from ..cache.store import Store
 
 WAIT = 0.05  # seconds between two looks whether the picture is still wanted
 PATIENCE = 60.0  # seconds without a page, after which a picture no longer waits for the rest
 MEGABYTE = 1 << 20
+ROUNDS = 4  # at most, in which a picture asks for what fits the budget
 
 
 @value_record
@@ -39,7 +41,13 @@ class Streamed:
     read_pages: int  # for this view
     read_bytes: int
     waiting: bool  # more pages are to come
+    arrivals: int  # of the pool, before it was asked for pages
     warnings: tuple[str, ...] = ()
+
+    @property
+    def progress(self) -> str:
+        """What a person is told while pages come; empty when all are there."""
+        return f"Reading pages: {self.drawn:,} of {self.needed:,}" if self.waiting else ""
 
     @property
     def report(self) -> dict[str, int]:
@@ -89,8 +97,11 @@ def with_pages(
     )
     fitting = pool.want(view, wishes)
     if not interactive:
-        _wait(pool, lambda: pool.is_busy(view), check, warnings)
-        fitting = min(fitting, pool.want(view, wishes))
+        for _ in range(ROUNDS):  # how much memory pages take is known when the first are there
+            _wait(pool, lambda: pool.is_busy(view), check, warnings)
+            before_it, fitting = fitting, pool.want(view, wishes)
+            if fitting == before_it:
+                break
         if fitting < len(wishes):
             warnings.append(
                 f"The memory budget of {settings.memory_budget:,} MB holds {fitting:,} of {len(wishes):,} pages that"
@@ -98,6 +109,7 @@ def with_pages(
             )
     for scan in _files(scans):
         warnings += scan.warnings
+    arrivals = pool.arrivals
     fits = {wish.key for wish in wishes[:fitting]}
     geometries = list(scene.geometries)
     drawn = points = 0
@@ -110,7 +122,7 @@ def with_pages(
     read = np.array([(scan.read_pages, scan.read_bytes) for scan in _files(scans)]) - before
     pages, size = read.sum(axis=0).tolist()
     found = Streamed(
-        len(wishes), drawn, points, pages, size, pool.is_busy(view), tuple(dict.fromkeys(warnings))
+        len(wishes), drawn, points, pages, size, pool.is_busy(view), arrivals, tuple(dict.fromkeys(warnings))
     )
     return replace(scene, geometries=tuple(geometries)), found
 
@@ -159,9 +171,9 @@ def _shown(scan: _Scan, need: Need, fits: set, pool: PagePool, store: Store) -> 
     """The geometry that a view draws of a scan, and of how many pages."""
     streamed, geometry = scan.streamed, scan.geometry
     wanted = [wish.page for wish in _wishes(scan, need) if wish.key in fits]
-    tree = streamed.scan.tree
+    tree: PageTree | None = streamed.scan.tree
     there = pool.pages(streamed.scan, streamed.look, wanted) if tree is not None else {}
-    if 0 not in there:
+    if tree is None or 0 not in there:
         name = f"{STREAMED_NAME}{geometry.key} stand-in"
         return replace(geometry, key=name, cloud=streamed.stand_in), 0
     cut = cut_pages(tree, there)

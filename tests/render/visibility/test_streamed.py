@@ -1,0 +1,160 @@
+"""Pictures of scans that are read by pages, beside those of the same points in memory."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.scene import Geometry, Scene
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.streamed import PointSize, StreamedScan
+from pointsplat_addon.core.scene.world import World
+from pointsplat_addon.render.plan.request import Request, Result
+from pointsplat_addon.stream.need import needed_pages
+from pointsplat_addon.stream.pool import POOL
+from pointsplat_addon.stream.tree import PageTree
+from scripts.scenes import build, cameras
+from scripts.scenes.drawing import opengl
+from tests.support.octrees import MemoryPages, PlainLook, scan_in_memory
+
+COUNT, MOST, RADIUS = 20_000, 300, 0.006
+CAMERA = cameras.camera(eye=(0.5, -1.0, 1.2), target=(0.5, 0.5, 0.3), resolution=(96, 64))
+SETTINGS = Settings(technique="VISIBILITY", tolerance=0.05)
+FINE, COARSE = 0.05, 1.5  # pixels of tolerance
+
+
+@pytest.fixture(autouse=True)
+def empty_pool():
+    POOL.clear()
+    yield
+    POOL.clear()
+
+
+def hills(count: int = COUNT) -> tuple[np.ndarray, np.ndarray]:
+    random = np.random.default_rng(7)
+    place = random.uniform(0.01, 0.99, (count, 2))
+    height = 0.3 + 0.1 * np.sin(9 * place[:, 0]) * np.cos(7 * place[:, 1])
+    color = np.stack([place[:, 0], place[:, 1], 1 - place[:, 0]], axis=1)
+    return np.column_stack([place, height]).astype(np.float32), color.astype(np.float32)
+
+
+def paged(path: Path, size: PointSize = PointSize(RADIUS), **more) -> tuple[MemoryPages, Scene]:
+    position, color = hills()
+    source = MemoryPages(position, MOST, 0.06)
+    source.columns["color"] = color
+    streamed = StreamedScan(scan_in_memory(source, path / "scan"), PlainLook(), size, **more)
+    return source, scene_of(Geometry(f"paged {path}", "Paged", streamed=streamed))
+
+
+def in_memory() -> Scene:
+    position, color = hills()
+    cloud = PointCloud(position, color=color, radii=np.full((COUNT, 1), RADIUS, np.float32))
+    return scene_of(Geometry("in memory", "In memory", cloud=cloud))
+
+
+def scene_of(geometry: Geometry) -> Scene:
+    return build.scene((geometry, np.eye(4)), world=World(np.full(3, 0.2)))
+
+
+def render(scene: Scene, tolerance: float = FINE, **settings) -> Result:
+    request = Request(CAMERA, replace(SETTINGS, tolerance=tolerance, **settings), frozenset({"combined"}), 17)
+    return opengl().render(scene, request)
+
+
+def test_all_pages_show_what_the_same_points_in_memory_do(tmp_path: Path) -> None:
+    source, scene = paged(tmp_path)
+    found, expected = render(scene), render(in_memory())
+    difference = np.abs(found.pixels["combined"] - expected.pixels["combined"])
+    # Points lie in another order, which decides between equal depths: worst measured 0.0.
+
+    assert difference.max() == 0
+    assert found.report["streamed"] == {
+        "needed_pages": len(source.directory), "drawn_pages": len(source.directory), "points": COUNT,
+        "pages": len(source.directory), "bytes": int(source.directory.nbytes.sum()),
+    }  # fmt: skip
+    assert "streamed" not in expected.report
+
+
+@pytest.mark.parametrize("tolerance", [1.2, COARSE, 4.0])
+def test_a_picture_reads_the_pages_that_its_tolerance_needs_and_no_others(tmp_path: Path, tolerance: float) -> None:
+    source, scene = paged(tmp_path)
+    report = render(scene, tolerance).report["streamed"]
+    wider = replace(CAMERA, region=(-1, -1, 98, 66))  # what the pixel filter takes in
+    need = needed_pages(PageTree(source.directory), CAMERA.view_from_world[None], CAMERA, tolerance)
+    more = needed_pages(PageTree(source.directory), CAMERA.view_from_world[None], wider, tolerance)
+    assert set(need.pages.tolist()) <= set(source.read_pages) <= set(more.pages.tolist())
+    assert len(source.read_pages) == len(set(source.read_pages)) == report["pages"] == report["needed_pages"]
+    assert 0 < len(source.read_pages) < len(source.directory)
+    again = render(scene, tolerance).report["streamed"]
+    assert (again["pages"], again["bytes"]) == (0, 0)
+    assert again["drawn_pages"] == report["drawn_pages"]
+
+
+def test_coarse_pages_cover_as_much_as_all_points(tmp_path: Path) -> None:
+    _, scene = paged(tmp_path, PointSize())
+    fine, coarse = (render(scene, tolerance, use_shadows=False).pixels["combined"] for tolerance in (FINE, COARSE))
+    assert np.abs(fine - coarse)[..., :3].mean() < 0.05
+
+
+def test_what_the_budget_does_not_hold_is_drawn_more_coarsely_and_said(tmp_path: Path) -> None:
+    source, scene = paged(tmp_path)
+    for columns in range(40):  # so that the least budget holds a part of the pages
+        source.columns[f"more {columns}"] = np.zeros(COUNT, np.float32)
+    scene = replace(scene, geometries=(replace(scene.geometries[0], key=f"budget {tmp_path}"),))
+    POOL.clear()
+    report = render(scene, FINE, memory_budget=0.2).report
+    assert report["streamed"]["drawn_pages"] < report["streamed"]["needed_pages"]
+    assert any("memory budget" in warning for warning in report["warnings"])
+    assert POOL.nbytes <= 0.2 * (1 << 20)
+
+
+def test_a_damaged_page_is_drawn_by_its_parent_and_said_once(tmp_path: Path) -> None:
+    source, scene = paged(tmp_path)
+    source.damaged = {5}
+    report = render(scene).report
+    assert sum("pages cannot be read" in warning for warning in report["warnings"]) == 1
+    assert report["streamed"]["drawn_pages"] < len(source.directory)
+
+
+def test_a_missing_file_is_shown_by_what_stands_in(tmp_path: Path) -> None:
+    position, color = hills(500)
+    stand_in = PointCloud(position, color=color, radii=np.full((500, 1), RADIUS, np.float32))
+    _, scene = paged(tmp_path, stand_in=stand_in)
+    (tmp_path / "scan").unlink()
+    result = render(scene)
+    assert any("is missing" in warning for warning in result.report["warnings"])
+    assert result.report["points"]["cut"] == 500
+
+
+def test_clip_boxes_cut_pages_as_they_cut_points_in_memory(tmp_path: Path) -> None:
+    box = np.diag([4.0, 4.0, 1.0, 1.0])[None] + np.array([[0, 0, 0, -2], [0, 0, 0, -2], [0, 0, 0, 0], [0, 0, 0, 0]])
+    _, scene = paged(tmp_path, box_from_object=box)
+    found = render(scene)
+    position, color = hills()
+    kept = (np.abs(position[:, :2] * 4 - 2) <= 1).all(axis=1)
+    cloud = PointCloud(position[kept], color=color[kept], radii=np.full((kept.sum(), 1), RADIUS, np.float32))
+    expected = render(scene_of(Geometry("clipped", "Clipped", cloud=cloud)))
+    assert found.report["streamed"]["points"] == int(kept.sum())
+    assert np.abs(found.pixels["combined"] - expected.pixels["combined"]).max() <= 1e-6
+
+
+def test_a_viewport_draws_what_is_there_and_then_the_rest(tmp_path: Path) -> None:
+    source, scene = paged(tmp_path)
+    source.seconds = 0.01
+    request = Request(CAMERA, SETTINGS, frozenset({"combined"}), 17, interactive=True)
+    renderer, shown, waiting = opengl(), [], True
+    while waiting:
+        frame = renderer.start(scene, request)
+        streamed = frame.frame_plan.streamed
+        assert streamed is not None
+        shown.append(streamed.points)
+        waiting = streamed.waiting
+        seen = streamed.arrivals
+        frame.release()
+        if waiting:
+            POOL.wait(5.0, seen)
+    assert shown[0] < shown[-1] == COUNT
+    assert shown == sorted(shown)
+    assert len(source.read_pages) == len(source.directory)
