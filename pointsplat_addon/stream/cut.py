@@ -36,58 +36,74 @@ def cut_pages(tree: PageTree, there: dict[int, Page]) -> PageCut:
     return PageCut(tuple(pages.tolist()), standing, digest)
 
 
-def cloud_of_cut(tree: PageTree, cut: PageCut, there: dict[int, Page], size: PointSize) -> PointCloud | None:
-    """Returns the splats of a cut; None without any.
+@record
+class CutSplats:
+    """The splats of a cut: points, and nodes with their shapes (N, 8) float32."""
+
+    points: PointCloud | None
+    nodes: PointCloud | None
+    shape: np.ndarray | None
+
+    @property
+    def nbytes(self) -> int:
+        return sum(part.nbytes for part in (self.points, self.nodes, self.shape) if part is not None)
+
+
+def splats_of_cut(tree: PageTree, cut: PageCut, there: dict[int, Page], size: PointSize) -> CutSplats:
+    """Returns the splats of a cut.
 
     Of additive scans all points of its pages are drawn, as wide as the points around them are apart. Of others pages
     stand in for the finer ones that are missing.
     """
-    parts: list[PointCloud] = []
+    points: list[PointCloud] = []
+    nodes: list[PointCloud] = []
+    shapes: list[np.ndarray] = []
     for number in cut.pages:
         page = there[number]
-        if page.cloud is None:
+        cloud, shape = page.cloud, page.shape
+        if cloud is None:
             continue
-        stands = cut.standing[page.deepest]
-        cloud = page.cloud
+        stands, count = cut.standing[page.deepest], page.count
         if not tree.directory.additive:
             mine = stands == number
             if not mine.any():
                 continue
             if not mine.all():
-                cloud = cloud.take(np.flatnonzero(np.repeat(mine, page.count)))
-        if cloud.radii is None:
-            spacing = np.array([there[int(one)].spacing for one in np.unique(stands)])
-            each = spacing[np.searchsorted(np.unique(stands), stands)] if tree.directory.additive else page.spacing
-            radius = size.of(np.broadcast_to(each, stands.shape).astype(np.float32))
-            count = page.count
-            if not tree.directory.additive:
-                radius, count = radius[stands == number], page.count[stands == number]
-            cloud = replace(cloud, radii=np.repeat(radius.astype(np.float32), count)[:, None])
-        parts.append(cloud)
-    return joined(parts) if parts else None
+                rows = np.flatnonzero(np.repeat(mine, count))
+                cloud, shape = cloud.take(rows), None if shape is None else shape[rows]
+                stands, count = stands[mine], count[mine]
+        if shape is None:
+            points.append(_sized(cloud, stands, count, there, size))
+        else:
+            nodes.append(cloud)
+            shapes.append(shape)
+    return CutSplats(
+        joined(points) if points else None,
+        joined(nodes) if nodes else None,
+        np.concatenate(shapes) if shapes else None,
+    )
 
 
-def joined(parts: list[PointCloud]) -> PointCloud:
-    """Returns clouds of one origin as one. Attributes that some of them lack are zero there."""
-    if len(parts) == 1:
-        return parts[0]
+def _sized(
+    cloud: PointCloud, stands: np.ndarray, count: np.ndarray, there: dict[int, Page], size: PointSize
+) -> PointCloud:
+    """Points with radii. `stands`, `count`: (R,) the pages that stand for runs of them, and how many are in each."""
+    pages, of_run = np.unique(stands, return_inverse=True)
+    spacing = np.array([there[page].spacing for page in pages.tolist()], np.float32)
+    return replace(cloud, radii=np.repeat(size.of(spacing)[of_run].astype(np.float32), count)[:, None])
+
+
+def joined(clouds: list[PointCloud]) -> PointCloud:
+    """Returns clouds of one origin as one. Of attributes that some of them lack they have zeros."""
+    if len(clouds) == 1:
+        return clouds[0]
     found: dict[str, np.ndarray] = {}
     for name in ATTRIBUTES:
-        given = [getattr(part, name) for part in parts]
-        some = [array for array in given if array is not None]
-        if not some:
-            continue
-        width = max(array.shape[1:] for array in some)
-        found[name] = np.concatenate([
-            _widened(array, len(part), width, some[0].dtype) for array, part in zip(given, parts, strict=True)
-        ])  # fmt: skip
-    return replace(parts[0], **found)
-
-
-def _widened(array: np.ndarray | None, count: int, width: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
-    """An attribute with as many numbers a splat as `width` says; missing ones repeat the last."""
-    if array is None:
-        return np.zeros((count, *width), dtype)
-    if array.shape[1:] == width:
-        return array
-    return array[:, np.minimum(np.arange(width[0]), array.shape[1] - 1)]
+        given = [getattr(cloud, name) for cloud in clouds]
+        some = next((array for array in given if array is not None), None)
+        if some is not None:
+            found[name] = np.concatenate([
+                np.zeros((len(cloud), *some.shape[1:]), some.dtype) if array is None else array
+                for array, cloud in zip(given, clouds, strict=True)
+            ])  # fmt: skip
+    return replace(clouds[0], **found)

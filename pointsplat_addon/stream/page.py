@@ -15,33 +15,38 @@ from .tree import PageTree
 
 @record
 class Page:
-    """The splats of one page. Points have no radii, nodes have theirs."""
+    """The splats of one page, see core.scene.streamed.PageSplats."""
 
     cloud: PointCloud | None  # None: nothing of it is drawn
+    shape: np.ndarray | None  # (N, 8) float32 of nodes; None: they are points
     deepest: np.ndarray  # (R,) int32: the deepest page of the scan in which each run of splats lies
     count: np.ndarray  # (R,) int64: splats of the runs
     spacing: float  # typical distance between neighbours where no page below this one is drawn, object units
 
     @property
     def nbytes(self) -> int:
-        return self.deepest.nbytes + self.count.nbytes + (0 if self.cloud is None else self.cloud.nbytes)
+        own = (self.cloud, self.shape, self.deepest, self.count)
+        return sum(part.nbytes for part in own if part is not None)
 
 
 def make_page(tree: PageTree, page: int, elements: Columns, look: PageLook) -> Page:
     """Returns a page of a scan's elements, in a look."""
     directory = tree.directory
-    cloud = look.cloud(elements, directory.additive)
-    cloud = None if cloud is None else valid_points(cloud)[0]
+    splats = look.splats(elements)
+    cloud, shape = (None, None) if splats is None else splats
+    if cloud is not None and shape is None:
+        cloud = valid_points(cloud)[0]
     none = np.empty(0, np.int32)
     if cloud is None or len(cloud) == 0:
-        return Page(None, none, none.astype(np.int64), float(directory.spacing[page]))
+        return Page(None, None, none, none.astype(np.int64), float(directory.spacing[page]))
     deepest = tree.deepest(page, cloud.position)
     if (deepest[1:] < deepest[:-1]).any():
         order = np.argsort(deepest, kind="stable")
         cloud, deepest = cloud.take(order), deepest[order]
+        shape = None if shape is None else shape[order]
     first = np.flatnonzero(np.r_[True, deepest[1:] != deepest[:-1]])
     count = np.diff(np.r_[first, len(deepest)])
-    return Page(cloud, deepest[first], count, _spacing(tree, page, elements["position"]))
+    return Page(cloud, shape, deepest[first], count, _spacing(tree, page, elements["position"]))
 
 
 def _spacing(tree: PageTree, page: int, position: np.ndarray) -> float:

@@ -77,7 +77,7 @@ def test_bytes_never_exceed_the_budget_and_the_longest_unneeded_go_first(tmp_pat
 
 
 def test_a_budget_that_holds_less_than_a_view_wants_keeps_what_adds_most(tmp_path: Path) -> None:
-    source, scan = opened(tmp_path)
+    _, scan = opened(tmp_path)
     pool = PagePool(budget=6_000, threads=2)
     order = list(range(30))
     pool.want("picture", wishes(scan, order))
@@ -103,7 +103,7 @@ def test_a_damaged_page_is_tried_once_and_told_once(tmp_path: Path) -> None:
 
 
 def test_a_file_that_changes_is_opened_anew_and_one_that_vanishes_says_so(tmp_path: Path) -> None:
-    source, scan = opened(tmp_path)
+    _, scan = opened(tmp_path)
     before = scan.number
     assert not scan.refresh()
     scan.path.write_bytes(b"longer")

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.streamed import PageSplats
 from pointsplat_addon.formats.hierarchies.octree import Octree
-from pointsplat_addon.formats.points.reader import Columns, Header, PointFileError
+from pointsplat_addon.formats.points.reader import Columns, FileReader, Header, PointFileError
 from pointsplat_addon.stream.scan import PagedScan
 from tests.support.scan_files import write_ept
 
@@ -41,7 +43,7 @@ def write_octree(folder: Path, position: np.ndarray, most: int, kind: str = "bin
     return nodes
 
 
-class MemoryPages:
+class MemoryPages(FileReader):
     """An additive octree in memory that counts which of its pages are read, and in which order."""
 
     def __init__(self, position: np.ndarray, most: int, spacing: float, side: float = 1.0) -> None:
@@ -68,17 +70,14 @@ class MemoryPages:
             raise PointFileError(Path("memory"), f"has a wrong checksum in page {page}")
         return {name: values[self.rows[page]] for name, values in self.columns.items()}
 
-    def close(self) -> None:
-        pass
-
 
 class PlainLook:
     """Points as they are, with their colours."""
 
     key = "plain"
 
-    def cloud(self, elements: Columns, additive: bool) -> PointCloud:
-        return PointCloud(elements["position"], color=elements.get("color"))
+    def splats(self, elements: Mapping[str, np.ndarray]) -> PageSplats:
+        return PageSplats(PointCloud(elements["position"], color=elements.get("color")))
 
 
 def scan_in_memory(source: MemoryPages, path: Path) -> PagedScan:

@@ -67,7 +67,7 @@ class PointCloud:
         None  # (N,) uint8, row of core.kernel.PROFILES: shape of splats that light passes through
     )
     disconnected: np.ndarray | None = None  # (N,) bool: foliage: closes no surface with its neighbours
-    share: np.ndarray | None = None  # (N,) float32, 0 to 1: how much of a flat splat's ellipse there is; None: all
+    share: np.ndarray | None = None  # (N,) float32, 0 to 1: how much of a splat's ellipse or ball there is; None: all
     # (N, 4, 3) int8, 127 times normals of which a splat shows one that faces the viewer, where it stands for a surface
     # that is turned to several sides: as long as the shares that these have in its area. Zeros: its own.
     facets: np.ndarray | None = None

@@ -36,6 +36,7 @@ class Geometry:
     strands: Strands | None = None
     captured: CapturedSplats | None = None
     streamed: StreamedScan | None = None  # what a view reads of it becomes the cloud
+    node_shape: np.ndarray | None = None  # (N, 8) float32, BallTree.shape: the cloud's points are nodes over balls
     primitive: str = "AUTO"  # one of PRIMITIVES
     spacing: float = 0.0  # distance between samples in object units; 0 chooses
     lattice: str = ""  # clouds of equal keys and attributes have the same points and half-axes; "": no other does

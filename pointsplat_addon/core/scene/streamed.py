@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import field
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -12,16 +12,22 @@ from ..numeric.record import record, value_record
 from .cloud import PointCloud
 
 
+class PageSplats(NamedTuple):
+    """The splats of a page."""
+
+    cloud: PointCloud  # points have no radii: these depend on what else is drawn; of nodes, balls of their volume
+    shape: np.ndarray | None = None  # (N, 8) float32, core.lod.balls.tree.BallTree.shape: the splats are nodes
+
+
 class PageLook(Protocol):
     """How the elements of a page become splats."""
 
     key: str  # content key of all that decides it
 
-    def cloud(self, elements: Mapping[str, np.ndarray], additive: bool) -> PointCloud | None:
+    def splats(self, elements: Mapping[str, np.ndarray]) -> PageSplats | None:
         """Returns the splats of a page's elements, see formats/hierarchies/source.py; None: none of them is drawn.
 
-        Points, of which the elements have no half-axes, have no radii: these depend on what else is drawn. Several
-        threads may call it. `additive`: the elements are points of the scan, not nodes over them.
+        Several threads may call it.
         """
         ...
 

@@ -12,18 +12,19 @@ from pathlib import Path
 
 import numpy as np
 
+from ...core.lod.balls.covered import node_shape
 from ...core.material.graph import Needs, needs
 from ...core.numeric.record import value_record
 from ...core.scene.cloud import PointCloud
-from ...core.scene.streamed import PointSize
+from ...core.scene.streamed import PageSplats, PointSize
+from ...core.surface.appearance import CLIP
 from . import arrays
 from .point_shapes import PointShape
-from .pointcloud import AS_GIVEN, Points, convert_points
+from .pointcloud import Points, appearance_of
 from .sample_material import SampleMaterial
 from .selection.filters import Filters, kept_points
 
 COLOR = "Col"  # what imports call the colours of a scan
-FLAT = 0.05  # shortest over longest half-axis: what is thinner is a disk
 
 
 @value_record
@@ -41,21 +42,29 @@ class ScanLook:
         self._filters, self._disks = filters, shape.kind != "BALLS"
         self.key = arrays.digest(self._material.key, filters, self._disks)
 
-    def cloud(self, elements: Mapping[str, np.ndarray], additive: bool) -> PointCloud | None:
+    def splats(self, elements: Mapping[str, np.ndarray]) -> PageSplats | None:
         """See core/scene/streamed.py."""
-        count = len(elements["position"])
-        if count == 0:
+        if len(elements["position"]) == 0:
             return None
         rows, _ = kept_points(elements, self._filters) if self._filters else (None, ())
-        if rows is not None:
-            if len(rows) == 0:
-                return None
-            elements = {name: array[rows] for name, array in elements.items()}
+        elements = elements if rows is None else _taken(elements, rows)
+        if len(elements["position"]) == 0:
+            return None
+        nodes, disks = "radii" in elements, self._disks and "radii" not in elements
         position = np.ascontiguousarray(elements["position"], np.float32)
-        normal = elements.get("normal") if self._disks else None
-        points = Points(position, np.zeros(len(position), np.float32), normal, colors=self._colors(elements))
-        _, made = convert_points(points, self._material, lambda key, make: make(), AS_GIVEN)
-        return replace(made, radii=None)
+        points = Points(position, None, elements.get("normal") if disks else None, colors=self._colors(elements))
+        look = appearance_of(points, self._material)
+        alpha = look.pop("alpha", None)
+        if alpha is not None and not (alpha >= CLIP).all():
+            seen = np.flatnonzero(alpha >= CLIP)
+            elements, look = _taken(elements, seen), _taken(look, seen)
+        if self._material.row:
+            look["material"] = np.full(len(look["position"]), self._material.row, np.uint16)
+        if not nodes:
+            return PageSplats(PointCloud(**look))
+        shape, radius = node_shape(*(elements[name] for name in ("normal", "axis", "radii", "covered")))
+        share = np.ascontiguousarray(elements["covered"], np.float32)
+        return PageSplats(PointCloud(**look, radii=radius[:, None], share=share), shape)
 
     def _colors(self, elements: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """What the material reads, (N, 4) float32 by name; colours come first, as what nodes without a name read."""
@@ -67,6 +76,10 @@ class ScanLook:
             if name in elements and (elements[name].ndim == 1 or elements[name].shape[1] == 3):
                 found[name] = _four(elements[name])
         return found
+
+
+def _taken(columns: Mapping[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:
+    return {name: array[rows] for name, array in columns.items()}
 
 
 def _four(values: np.ndarray) -> np.ndarray:

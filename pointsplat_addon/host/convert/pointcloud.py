@@ -169,6 +169,12 @@ def _in_order(array: np.ndarray, places: np.ndarray | None) -> np.ndarray:
     return array if array.flags.owndata else array.copy()
 
 
+def appearance_of(points: Points, material: SampleMaterial) -> dict[str, np.ndarray]:
+    """Positions, and what of the material varies at the points, in their order: arrays (N, ...) float32 by the names of
+    PointCloud's attributes, and alpha. Points without a normal have none."""
+    return _evaluated(points, material, None, points.normal is not None)
+
+
 def _evaluated(
     points: Points, material: SampleMaterial, places: np.ndarray | None, shaped: bool
 ) -> dict[str, np.ndarray]:

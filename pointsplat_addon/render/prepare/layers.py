@@ -132,6 +132,38 @@ def with_ball_nodes(
     return replace(balls, cut=joined_cuts(drawn["balls"])), found
 
 
+def with_page_nodes(view: View, layer: Layer, nodes: Layer) -> tuple[Layer, Layer]:
+    """Returns the layer without the nodes that pages of scans hold, and the nodes of a view with them.
+
+    Techniques other than the visibility buffer draw them as the balls that the layer has in their place.
+    """
+    geometries = view.scene.geometries
+    mine = [key for key in layer.point_sets if key < len(geometries) and geometries[key].node_shape is not None]
+    if not mine or view.settings.technique != "VISIBILITY":
+        return layer, nodes
+    moved = np.isin(layer.set_of_instance[layer.cut.instance], mine)
+    cuts = [
+        replace(
+            layer.cut, instance=layer.cut.instance[which], first=layer.cut.first[which], count=layer.cut.count[which],
+            nodes=0, points=int(layer.cut.count[which].sum()),
+        )
+        for which in (~moved, moved)
+    ]  # fmt: skip
+    rest = Layer(
+        {key: points for key, points in layer.point_sets.items() if key not in mine},
+        np.where(np.isin(layer.set_of_instance, mine), -1, layer.set_of_instance),
+        cuts[0],
+    )
+    sets, of_instance = dict(nodes.point_sets), nodes.set_of_instance.copy()
+    for key in mine:
+        points, shape = layer.point_sets[key], geometries[key].node_shape
+        bare = replace(points.cloud, share=None)
+        sets[key] = PointSet(Key(Kind.BALL_NODES, points.key), bare, shape=shape, balls=points)
+        of_instance[layer.set_of_instance == key] = key
+    drawn = replace(cuts[1], nodes=cuts[1].points, points=0)
+    return rest, Layer(sets, of_instance, joined_cuts([nodes.cut, drawn]))
+
+
 def _levels(points: PointSet, store: Store) -> Levels | None:
     hierarchy = points.hierarchy
     if hierarchy is None:

@@ -28,7 +28,7 @@ from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from .captured import CapturedNodes, captured_instances, captured_nodes
 from .hierarchies import ball_tree_if_it_pays, with_hierarchy_for_defocus, with_hierarchy_if_it_pays
-from .layers import cut_layer, with_ball_nodes
+from .layers import cut_layer, with_ball_nodes, with_page_nodes
 from .meshes.far import far_nodes
 from .meshes.hybrid import InstanceChoice, choose_parts, primitives_by_part
 from .meshes.points import Primitives, is_chosen_by_buffer, measured_mesh, points_or_polygons, sample_area_function
@@ -106,6 +106,7 @@ def prepare(
     of_others = np.where(np.isin(opaque.set_of_instance, list(trees)), -1, opaque.set_of_instance)
     layer = cut_layer(view, others, of_others, view_from_object, "SHARP", drawn.ranges)
     layer, nodes = with_ball_nodes(view, layer, trees, opaque.set_of_instance, view_from_object)
+    layer, nodes = with_page_nodes(view, layer, nodes)
     behind = cut_layer(view, drawn.translucent.sets, drawn.translucent.set_of_instance, view_from_object, "ALL", {})
     balls = drawn.spheres
     return Prepared(

@@ -38,7 +38,7 @@ def separate_translucent(scene: Scene, store: Store) -> tuple[Scene, tuple[str, 
     if extra:
         again = [np.flatnonzero(instances.geometry == row) for row, _ in extra]
         count = [len(rows) for rows in again]
-        instances = _with_repeated(
+        instances = with_repeated(
             instances, np.concatenate(again), np.repeat(len(geometries) + np.arange(len(extra)), count)
         )
     all_of_them = (*geometries, *(part for _, part in extra))
@@ -107,7 +107,7 @@ def _digest(*things: Any) -> str:
     return hasher.hexdigest()
 
 
-def _with_repeated(instances: Instances, rows: np.ndarray, geometry: np.ndarray) -> Instances:
+def with_repeated(instances: Instances, rows: np.ndarray, geometry: np.ndarray) -> Instances:
     """Returns the instances, followed by copies of `rows` (R,) with the geometry rows `geometry` (R,)."""
 
     def extended(array: np.ndarray | None) -> np.ndarray | None:

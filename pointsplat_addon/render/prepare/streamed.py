@@ -18,12 +18,13 @@ from ...core.scene.cloud import PointCloud
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.settings import Settings
 from ...core.scene.streamed import StreamedScan
-from ...stream.cut import cloud_of_cut, cut_pages
+from ...stream.cut import CutSplats, cut_pages, splats_of_cut
 from ...stream.need import Need, needed_pages
 from ...stream.pool import POOL, PagePool, Wish, wishes_of
 from ...stream.tree import PageTree
 from ..cache.keys import STREAMED_NAME, Key, Kind
 from ..cache.store import Store
+from .separation import with_repeated
 
 WAIT = 0.05  # seconds between two looks whether the picture is still wanted
 PATIENCE = 60.0  # seconds without a page, after which a picture no longer waits for the rest
@@ -111,20 +112,26 @@ def with_pages(
         warnings += scan.warnings
     arrivals = pool.arrivals
     fits = {wish.key for wish in wishes[:fitting]}
-    geometries = list(scene.geometries)
+    geometries, instances = list(scene.geometries), scene.instances
+    names: list[str] = []
     drawn = points = 0
     for scan, need in zip(scans, needs, strict=True):
-        shown, count = _shown(scan, need, fits, pool, store)
-        geometries[scan.row] = shown
+        (first, *more), count = _shown(scan, need, fits, pool, store)
+        geometries[scan.row] = first
         drawn += count
-        points += 0 if shown.cloud is None else len(shown.cloud)
-    store.forget_streamed(tuple(geometries[scan.row].key for scan in scans))
+        rows = np.flatnonzero(scene.instances.geometry == scan.row)
+        for part in more:
+            instances = with_repeated(instances, rows, np.full(len(rows), len(geometries)))
+            geometries.append(part)
+        names += (part.key for part in (first, *more))
+        points += sum(len(part.cloud) for part in (first, *more) if part.cloud is not None)
+    store.forget_streamed(tuple(names))
     read = np.array([(scan.read_pages, scan.read_bytes) for scan in _files(scans)]) - before
     pages, size = read.sum(axis=0).tolist()
     found = Streamed(
         len(wishes), drawn, points, pages, size, pool.is_busy(view), arrivals, tuple(dict.fromkeys(warnings))
     )
-    return replace(scene, geometries=tuple(geometries)), found
+    return replace(scene, geometries=tuple(geometries), instances=instances), found
 
 
 def _scans(scene: Scene, camera: Camera) -> list[_Scan]:
@@ -167,31 +174,42 @@ def _wishes(scan: _Scan, need: Need) -> list[Wish]:
     return wishes_of(scan.streamed.scan, scan.streamed.look, need.pages, need.gain)
 
 
-def _shown(scan: _Scan, need: Need, fits: set, pool: PagePool, store: Store) -> tuple[Geometry, int]:
-    """The geometry that a view draws of a scan, and of how many pages."""
+def _shown(scan: _Scan, need: Need, fits: set, pool: PagePool, store: Store) -> tuple[list[Geometry], int]:
+    """What a view draws of a scan, points and nodes, each a geometry; and of how many pages."""
     streamed, geometry = scan.streamed, scan.geometry
     wanted = [wish.page for wish in _wishes(scan, need) if wish.key in fits]
     tree: PageTree | None = streamed.scan.tree
     there = pool.pages(streamed.scan, streamed.look, wanted) if tree is not None else {}
     if tree is None or 0 not in there:
         name = f"{STREAMED_NAME}{geometry.key} stand-in"
-        return replace(geometry, key=name, cloud=streamed.stand_in), 0
+        return [replace(geometry, key=name, cloud=streamed.stand_in)], 0
     cut = cut_pages(tree, there)
-    boxes = b"" if streamed.box_from_object is None else streamed.box_from_object.tobytes()
     name = f"{STREAMED_NAME}{geometry.key} {streamed.scan.number} {cut.digest}"
 
-    def make() -> PointCloud | None:
-        cloud = cloud_of_cut(tree, cut, there, streamed.size)
-        return cloud if cloud is None or not boxes else clipped(cloud, streamed)
+    def make() -> CutSplats:
+        splats = splats_of_cut(tree, cut, there, streamed.size)
+        return splats if streamed.box_from_object is None else clipped(splats, streamed)
 
-    cloud = store.lookup(Key(Kind.STREAMED, name), make)
-    return replace(geometry, key=name, cloud=cloud), len(cut)
+    splats: CutSplats = store.lookup(Key(Kind.STREAMED, name), make)
+    found = []
+    if splats.points is not None or splats.nodes is None:
+        found.append(replace(geometry, key=name, cloud=splats.points))
+    if splats.nodes is not None:
+        found.append(replace(geometry, key=f"{name} nodes", cloud=splats.nodes, node_shape=splats.shape))
+    return found, len(cut)
 
 
-def clipped(cloud: PointCloud, streamed: StreamedScan) -> PointCloud | None:
-    """Returns the splats of a cloud that clip boxes keep; None without any."""
-    assert streamed.box_from_object is not None
-    kept = within(cloud.position, streamed.box_from_object) == streamed.inside
-    if kept.all():
-        return cloud
-    return cloud.take(np.flatnonzero(kept)) if kept.any() else None
+def clipped(splats: CutSplats, streamed: StreamedScan) -> CutSplats:
+    """Returns the splats that clip boxes keep, by their centres."""
+    boxes = streamed.box_from_object
+    assert boxes is not None
+
+    def kept(cloud: PointCloud | None) -> np.ndarray:
+        return np.flatnonzero(within(cloud.position, boxes) == streamed.inside) if cloud is not None else np.empty(0)
+
+    points, nodes = kept(splats.points), kept(splats.nodes)
+    return CutSplats(
+        splats.points.take(points) if splats.points is not None and len(points) else None,
+        splats.nodes.take(nodes) if splats.nodes is not None and len(nodes) else None,
+        splats.shape[nodes] if splats.shape is not None and len(nodes) else None,
+    )

@@ -1,7 +1,7 @@
 // Where rays through sub-samples meet an opaque splat: a ball (an ellipsoid in view space) or an elliptical disk.
 // PS_ROUND: all are balls, also in view space. PS_BALL_PAGE: the page holds balls alone, with their radius in the place of the
 // normal, and one material. PS_NODES: ellipsoids that stand for several balls, of which a part is covered. PS_PARTLY: of some
-// disks, too, a part is covered.
+// disks or balls, too, a part is covered.
 
 #include "lib/data/splat.glsl"
 #include "lib/geometry/ellipsoid_bounds.glsl"

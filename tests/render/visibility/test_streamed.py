@@ -22,6 +22,7 @@ from tests.support.octrees import MemoryPages, PlainLook, scan_in_memory
 COUNT, MOST, RADIUS = 20_000, 300, 0.006
 CAMERA = cameras.camera(eye=(0.5, -1.0, 1.2), target=(0.5, 0.5, 0.3), resolution=(96, 64))
 SETTINGS = Settings(technique="VISIBILITY", tolerance=0.05)
+SIZE = PointSize(RADIUS)
 FINE, COARSE = 0.05, 1.5  # pixels of tolerance
 
 
@@ -40,7 +41,7 @@ def hills(count: int = COUNT) -> tuple[np.ndarray, np.ndarray]:
     return np.column_stack([place, height]).astype(np.float32), color.astype(np.float32)
 
 
-def paged(path: Path, size: PointSize = PointSize(RADIUS), **more) -> tuple[MemoryPages, Scene]:
+def paged(path: Path, size: PointSize = SIZE, **more) -> tuple[MemoryPages, Scene]:
     position, color = hills()
     source = MemoryPages(position, MOST, 0.06)
     source.columns["color"] = color

@@ -9,7 +9,7 @@ A page holds the splats of several point sets. Texture by texture, one texel a s
   shading_normal  packed normal, -1: the splat's  /
   velocity        object units a frame, where a pass asks for it
 A page of balls alone, all of one material, keeps their radius in the place of the packed normal, and has no extent,
-where the visibility buffer draws it.
+where the visibility buffer draws it and all of each is covered.
 Pages of nodes that stand for several balls (core/lod/balls) hold their shapes instead of extents:
   position        xyz; -1 - saturation
   extent          xx, xy, xz of the shape, material row
@@ -149,7 +149,8 @@ def node_extent(points: PointSet) -> Write:
 
 def _ball_material(sets: list[PointSet]) -> int:
     """Returns the row of the material of point sets that are round balls of one material alone; else -1."""
-    if any(points.hierarchy is not None or not points.cloud.round_balls for points in sets):
+    if any(points.hierarchy is not None or not points.cloud.round_balls or points.cloud.share is not None
+           for points in sets):  # fmt: skip
         return -1
     rows = {row for points in sets for row in points.cloud.material_rows().tolist()}
     return rows.pop() if len(rows) == 1 else -1

@@ -212,7 +212,7 @@ class SplatDepths:
 
     def _kind(self, draw: PageDraw) -> SplatKind:
         page = draw.page
-        round_balls = self._round_balls and page.balls and not page.nodes
+        round_balls = self._round_balls and page.balls and not (page.nodes or page.partly)
         lattice, alone = self._depths.lattice, page.ball_material >= 0
         return SplatKind(self._options, draw.whole >= 0, round_balls, alone, lattice, page.nodes, page.partly)
 
