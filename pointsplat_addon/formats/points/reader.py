@@ -25,6 +25,10 @@ class PointFileError(ValueError):
 
     def __init__(self, path: Path, what: str) -> None:
         super().__init__(f"{path.name}: {what}")
+        self._given = path, what
+
+    def __reduce__(self) -> tuple:
+        return type(self), self._given  # so that it comes back from other processes
 
 
 @value_record

@@ -18,8 +18,8 @@ LINKED = "pointsplat.link_scan"
 
 
 class POINTSPLAT_OT_link_scan(bpy.types.Operator, ImportHelper):
-    """Make an object that stands for a scan too large for memory: pictures read what they need of its file. Entwine
-    (ept.json) and COPC"""
+    """Make an object that stands for a scan too large for memory: pictures read what they need of its file. PointSplat's
+    hierarchies (.psh), Entwine (ept.json) and COPC"""
 
     bl_idname = LINKED
     bl_label = "Link Large Point Cloud"
@@ -66,7 +66,7 @@ class POINTSPLAT_OT_find_missing_scans(bpy.types.Operator):
 
 
 def _menu(self: Any, _context: bpy.types.Context) -> None:
-    self.layout.operator(LINKED, text="Large Point Cloud (Entwine, COPC)")
+    self.layout.operator(LINKED, text="Large Point Cloud (.psh, Entwine, COPC)")
 
 
 def _external_data(self: Any, _context: bpy.types.Context) -> None:

@@ -80,7 +80,7 @@ def build_ball_tree(cloud: PointCloud) -> BallTree:
         begin = np.flatnonzero(step >= _threshold(level))
         step = step[begin]
         first.append(_ends(first[-1][begin], count))
-        rows = _merged(rows, _ends(begin, rows.shape[1]))
+        rows = merged_rows(rows, _ends(begin, rows.shape[1]))
         columns.append(_node_columns(rows, fastest))
     first.reverse()
     position, shape, averages = (np.concatenate(levels) for levels in zip(*reversed(columns), strict=True))
@@ -126,7 +126,7 @@ def _ends(begin: np.ndarray, count: int) -> np.ndarray:
 
 
 def _merge_balls(cloud: PointCloud, first: np.ndarray) -> np.ndarray:
-    """The rows (11 + A, n) float64 of the cells that begin at balls `first` (n + 1,): see `_merged`."""
+    """The rows (11 + A, n) float64 of the cells that begin at balls `first` (n + 1,): see `merged_rows`."""
     assert cloud.radii is not None
     averaged = [array for name in AVERAGED if (array := getattr(cloud, name)) is not None]
     out = np.empty((11 + sum(array.shape[1] for array in averaged), len(first) - 1))
@@ -145,13 +145,13 @@ def _merge_balls(cloud: PointCloud, first: np.ndarray) -> np.ndarray:
             for array in averaged:
                 rows[at : at + array.shape[1]] = array[balls].T
                 at += array.shape[1]
-            out[:, a:b] = _merged(rows, first[a : b + 1] - first[a])
+            out[:, a:b] = merged_rows(rows, first[a : b + 1] - first[a])
 
     each_block(len(parts), merge, 1)
     return out
 
 
-def _merged(rows: np.ndarray, ends: np.ndarray) -> np.ndarray:
+def merged_rows(rows: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Merges the columns of `rows` (11 + A, n) between the `ends` (m + 1,) into one each, (11 + A, m) float64.
 
     Rows: weight (squared radius); mean position (3); covariance (6) about it; weighted means of the squared radius and
@@ -178,7 +178,7 @@ def _merged(rows: np.ndarray, ends: np.ndarray) -> np.ndarray:
 
 
 def _node_columns(rows: np.ndarray, saturation: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Positions (n, 3), BallTree.shape (n, 8) and averages (n, A) of nodes, float32, from the rows of `_merged`."""
+    """Positions (n, 3), BallTree.shape (n, 8) and averages (n, A) of nodes, float32, from the rows of `merged_rows`."""
     shape = np.empty((rows.shape[1], 8), np.float32)
     for column in range(6):
         np.multiply(rows[4 + column], SPREAD, out=shape[:, column], casting="same_kind")

@@ -67,7 +67,7 @@ def _distinct_ellipses(orders: Orders) -> dict[str, np.ndarray]:
     ball, thickness = np.zeros(count, np.float32), np.ones(count, np.float32)
 
     def fit(block: slice) -> None:
-        offset, squared = _neighbours(orders, block)
+        offset, squared = neighbours_of(orders, block)
         planes = fit_planes(offset, squared)
         major, half_axes, middle = closing_ellipses(offset, squared, planes.normal, planes.weight)
         normal[block], axis[block], radii[block] = planes.normal.T, major.T, half_axes.T
@@ -111,7 +111,7 @@ def turn_towards(normal: np.ndarray, position: np.ndarray, station: np.ndarray) 
     each_block(len(normal), turn)
 
 
-def _neighbours(orders: Orders, block: slice) -> tuple[np.ndarray, np.ndarray]:
+def neighbours_of(orders: Orders, block: slice) -> tuple[np.ndarray, np.ndarray]:
     """Offsets (3, k, n) of the nearest neighbours of points, and the squares of their lengths (k, n)."""
     index, squared = nearest(orders, block, NEIGHBOURS)
     index = np.ascontiguousarray(index.T)

@@ -154,6 +154,20 @@ class LasReader(FileReader):
         points = laspy.ScaleAwarePointRecord(raw, header.point_format, header.scales, header.offsets)
         return {attribute.name: self._column(points, attribute) for attribute in self.wanted(columns)}
 
+    def part(self, first: int, count: int, columns: Collection[str] | None = None) -> Iterator[Columns]:
+        """Yields, as `chunks` does, at most `count` points from number `first` on: those that there are."""
+        wanted = self.wanted(columns)
+        count = max(min(count, self.header.count - first), 0)
+        if count:
+            self._guarded(lambda: self._las.seek(first))
+        size = max(1, min(CHUNK, MOST_BYTES // self._las.header.point_format.size))
+        while count > 0:
+            points = self._guarded(partial(self._las.read_points, min(count, size)))
+            if len(points) == 0:
+                break
+            count -= len(points)
+            yield {attribute.name: self._column(points, attribute) for attribute in wanted}
+
     def _column(self, points: Any, attribute: Attribute) -> np.ndarray:
         if attribute.name == "position":
             scale, offset = self._las.header.scales, self._las.header.offsets
