@@ -17,6 +17,7 @@ from ...formats.points.reader import Columns, PointFileError
 from .importing import placed
 
 STAND_IN = 1 << 13  # points that the object holds, for Solid mode and other engines
+OF_NODES = frozenset({"axis", "radii", "covered", "coherence"})  # columns of nodes, whose normals are their kernels'
 SPREAD = 0.62  # the golden section, by whose multiples points of the root are taken: evenly, whatever their order
 
 
@@ -36,7 +37,7 @@ def link_scan(context: Any, path: Path) -> tuple[bpy.types.Object, PageSource]:
         source.close()
         raise
     ob.pointsplat.scan_path = stored_path(path / "ept.json" if path.is_dir() else path)
-    ob.pointsplat.shape = "BALLS" if "normal" not in root else "DISKS"
+    ob.pointsplat.shape = "DISKS" if "coherence" in root or ("normal" in root and "radii" not in root) else "BALLS"
     return ob, source
 
 
@@ -57,7 +58,8 @@ def stand_in(source: PageSource, root: Columns) -> Gathered:
     rows = np.arange(count)
     if count > STAND_IN:
         rows = np.flatnonzero(np.modf(np.arange(count) * SPREAD)[0] < STAND_IN / count)
-    columns = {name: values[rows] for name, values in root.items() if name not in ("axis", "radii", "covered")}
+    left_out = {"normal", *OF_NODES} if "radii" in root else set()
+    columns = {name: values[rows] for name, values in root.items() if name not in left_out}
     if "color" in columns:
         rgba = np.full((len(rows), 4), 255, np.uint8)
         rgba[:, :3] = np.rint(255 * np.clip(srgb_from_linear(columns["color"]), 0, 1))
