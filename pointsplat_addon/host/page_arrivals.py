@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..stream.pool import POOL
+from ..stream.pool import POOL, VIEWPORT
 
 INTERVAL = 0.1  # seconds between two looks
 
@@ -28,7 +28,7 @@ def stop() -> None:
 
 def _look() -> float | None:
     global _seen
-    busy = POOL.is_busy("viewport")
+    busy = POOL.is_busy(VIEWPORT)
     if POOL.arrivals != _seen or not busy:
         _seen = POOL.arrivals
         for window in bpy.context.window_manager.windows:

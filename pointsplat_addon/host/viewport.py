@@ -20,7 +20,7 @@ from ..render.device.protocol import DeviceError
 from ..render.frame.frame import Frame
 from ..render.plan.request import Request
 from ..shading.sources import ShaderError
-from ..stream.pool import POOL
+from ..stream.pool import POOL, VIEWPORT
 from . import disk_cache, page_arrivals
 from .convert.camera import pixel_size, viewport_camera
 from .device.main_gpu import MAIN_GPU
@@ -29,6 +29,7 @@ from .sync import Synchronizer
 LOG = logging.getLogger(__name__)
 STILL_SECONDS = 0.2  # without a change before the picture is refined
 NAVIGATION_SAMPLES = FEW.count  # of each pixel while the view moves: one lattice of the visibility buffer
+LEAST_PAUSE = 0.3  # seconds between two pictures of a still view for which pages come
 NAVIGATION_TOLERANCE = 4.0  # factor of the tolerance while the view moves: a sixteenth of the points
 
 
@@ -48,6 +49,8 @@ class Viewport:
         self._pace = PixelPace()
         self._changed_at = float("-inf")
         self._error = ""
+        self._hasty = False  # the frame has few samples, for pages of scans are still to come
+        self._made_at, self._made_in = 0.0, 0.0  # when the frame was begun, and what drawing it took, seconds
 
     def __del__(self) -> None:
         # The viewport ends with its engine, whose own struct Blender has freed by then.
@@ -59,6 +62,8 @@ class Viewport:
         self._scene = self.synchronizer.scene(depsgraph, view3d=context.space_data)
         self._drop()
         self._error = ""
+        self._hasty = False  # the frame has few samples, for pages of scans are still to come
+        self._made_at, self._made_in = 0.0, 0.0  # when the frame was begun, and what drawing it took, seconds
 
     def draw(self, engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Draw one more sample into the region, and request a redraw while there is more to do."""
@@ -89,15 +94,17 @@ class Viewport:
         before, began = self._frame, time.perf_counter()
         frame = self._frame_for(self._scene, camera, settings, pixel_size(depsgraph.scene_eval.render))
         more = frame.sample() if self._pacing is None else self._pacing.sample(frame)
+        streamed = frame.frame_plan.streamed
+        if streamed is not None and frame is not before:
+            self._made_at, self._made_in = began, time.perf_counter() - began
         if self._coarse and frame is not before:
             wait(MAIN_GPU.renderer().device)
             self._pace.measured(time.perf_counter() - began)
         _present(frame, camera, smooth=self._coarse and frame.frame_plan.request.camera.window != camera.window)
-        streamed = frame.frame_plan.streamed
         engine.update_stats("", "" if streamed is None else streamed.progress)
         if more or self._coarse:
             engine.tag_redraw()
-        if streamed is not None and streamed.waiting:
+        if streamed is not None and (streamed.waiting or self._hasty):
             page_arrivals.watch()
 
     def _frame_for(
@@ -115,8 +122,8 @@ class Viewport:
             self._changed_at, self._view = now, view
         elif self._coarse and now - self._changed_at > STILL_SECONDS:
             self._coarse = False
-        elif not self._shows_all_pages():
-            pass  # at the same fineness, with what has come since
+        elif self._is_behind(now):
+            pass  # once more at the same fineness, with the pages that have come since
         else:
             return self._frame
         self._drop()
@@ -139,15 +146,29 @@ class Viewport:
             )
         elif settings.budget == "ERROR":
             self._pacing = Refining(request)
+        self._hasty = not self._coarse and self._reads_pages(scene)
+        if self._hasty:
+            request = replace(request, samples=min(request.samples, NAVIGATION_SAMPLES))
         if self._pacing is not None:
             request = self._pacing.request
         self._frame = renderer.start(scene, request)
         return self._frame
 
-    def _shows_all_pages(self) -> bool:
-        """Whether the frame shows all pages of scans that it needs, or all of them that have come."""
+    def _reads_pages(self, scene: scene_module.Scene) -> bool:
+        """Whether pages of scans are likely to come while the frame is drawn."""
+        if all(geometry.streamed is None for geometry in scene.geometries):
+            return False
+        return self._made_at == 0.0 or POOL.is_busy(VIEWPORT)
+
+    def _is_behind(self, now: float) -> bool:
+        """Whether pages have come that the frame lacks, or were to come when it was begun. While more are to come, as
+        much time goes to them as to drawing what is there."""
         streamed = None if self._frame is None else self._frame.frame_plan.streamed
-        return streamed is None or not streamed.waiting or streamed.arrivals == POOL.arrivals
+        if streamed is None or not (self._hasty or streamed.waiting):
+            return False
+        if not POOL.is_busy(VIEWPORT):
+            return self._hasty or streamed.arrivals != POOL.arrivals
+        return streamed.arrivals != POOL.arrivals and now - self._made_at > 2 * self._made_in + LEAST_PAUSE
 
     def _drop(self) -> None:
         """Release the frame, so that the next drawing starts another."""

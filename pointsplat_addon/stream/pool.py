@@ -22,6 +22,7 @@ BUDGET = 2000 << 20  # bytes, until settings say
 FIRST_GUESS = 40  # bytes of an element in memory, until a page of the look was read
 LOOK_AGAIN = 2.0  # seconds after which a file is asked again whether it is still the same
 MOST_THREADS = 4
+VIEWPORT, PICTURE = "viewport", "picture"  # the kinds of views that ask for pages
 
 
 class PageKey(NamedTuple):

@@ -53,10 +53,16 @@ class PageTree:
     def deepest(self, page: int, position: np.ndarray) -> np.ndarray:
         """(N,) int32: the deepest page, at or below `page`, in which each place (N, 3) float32 lies.
 
-        Of octrees by their cubes; else by the bounds of the pages: the first that holds the place.
+        Of octrees by their cubes; else by the bounds of the pages: the first that holds the place. Where pages stand in
+        for those below them, none below the next is asked for.
         """
         found = np.full(len(position), page, np.int32)
+        if self.is_leaf[page]:
+            return found
         rows = np.arange(len(position))
+        if not self.directory.additive:
+            below = self._below(found, position)
+            return np.where(below >= 0, below, found)
         while len(rows):
             below = self._below(found[rows], position[rows])
             going = below >= 0

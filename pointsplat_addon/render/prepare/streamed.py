@@ -20,7 +20,7 @@ from ...core.scene.settings import Settings
 from ...core.scene.streamed import StreamedScan
 from ...stream.cut import CutSplats, cut_pages, splats_of_cut
 from ...stream.need import Need, needed_pages
-from ...stream.pool import POOL, PagePool, Wish, wishes_of
+from ...stream.pool import PICTURE, POOL, VIEWPORT, PagePool, Wish, wishes_of
 from ...stream.tree import PageTree
 from ..cache.keys import STREAMED_NAME, Key, Kind
 from ..cache.store import Store
@@ -92,7 +92,7 @@ def with_pages(
     if not interactive:
         _wait(pool, lambda: any(scan.tree is None and not scan.failure for scan in _files(scans)), check, warnings)
     needs = [_need(scan, camera, settings.tolerance) for scan in scans]
-    view = "viewport" if interactive else "picture"
+    view = VIEWPORT if interactive else PICTURE
     wishes = sorted(
         (wish for scan, need in zip(scans, needs, strict=True) for wish in _wishes(scan, need)), key=lambda w: -w.gain
     )
