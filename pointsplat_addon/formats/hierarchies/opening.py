@@ -14,7 +14,8 @@ ENDS = (SUFFIX, "ept.json", ".copc.laz", ".laz")
 
 
 def open_pages(path: Path) -> PageSource:
-    """Opens a scan that is read by pages: a hierarchy of PointSplat's own, the folder of Entwine's octree or its ept.json, or a COPC file.
+    """Opens a scan that is read by pages: a hierarchy of PointSplat's own, the folder of Entwine's octree or its
+    ept.json, or a COPC file.
 
     Raises PointFileError where it is damaged or none, OSError where it cannot be read.
     """

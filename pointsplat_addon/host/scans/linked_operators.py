@@ -12,14 +12,15 @@ from bpy_extras.io_utils import ImportHelper
 from ...formats.hierarchies.opening import ENDS
 from ...formats.points.reader import PointFileError
 from ..ui.views import reach
+from . import linked_paths
 from .linking import find_scans, link_scan, missing_scans
 
 LINKED = "pointsplat.link_scan"
 
 
 class POINTSPLAT_OT_link_scan(bpy.types.Operator, ImportHelper):
-    """Make an object that stands for a scan too large for memory: pictures read what they need of its file. PointSplat's
-    hierarchies (.psh), Entwine (ept.json) and COPC"""
+    """Make an object that stands for a scan too large for memory: pictures read what they need of its file: a
+    hierarchy of PointSplat's (.psh), Entwine (ept.json) or COPC"""
 
     bl_idname = LINKED
     bl_label = "Link Large Point Cloud"
@@ -79,8 +80,10 @@ CLASSES = (POINTSPLAT_OT_link_scan, POINTSPLAT_OT_find_missing_scans)
 def register() -> None:
     bpy.types.TOPBAR_MT_file_import.append(_menu)
     bpy.types.TOPBAR_MT_file_external_data.append(_external_data)
+    linked_paths.register()
 
 
 def unregister() -> None:
+    linked_paths.unregister()
     bpy.types.TOPBAR_MT_file_external_data.remove(_external_data)
     bpy.types.TOPBAR_MT_file_import.remove(_menu)

@@ -112,6 +112,7 @@ class PointSplatObject(bpy.types.PropertyGroup):
         "COPC. Pictures show what they need of it",
         default="",
         subtype="FILE_PATH",
+        options={"PATH_SUPPORTS_BLEND_RELATIVE"},
         update=changed,
     )
     filters: CollectionProperty(

@@ -1,0 +1,148 @@
+"""Objects that stand for scans too large for memory: how they are made, drawn, saved elsewhere and found again."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+import pointsplat_addon
+from pointsplat_addon.host.scans.linking import STAND_IN
+from pointsplat_addon.host.scans.looks import look_material
+from pointsplat_addon.stream.pool import POOL
+from tests.support.blender.scenes import sync
+from tests.support.octrees import SIDE, write_octree
+
+COUNT = 20_000
+
+
+@pytest.fixture(autouse=True)
+def empty_scene():
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    pointsplat_addon.register()
+    POOL.clear()
+    yield
+    pointsplat_addon.unregister()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    place = np.random.default_rng(4).integers(0, SIDE, (COUNT, 3)) * [1, 1, 0] + [0, 0, SIDE // 2]
+    write_octree(tmp_path / "survey", place, 1000)
+    return tmp_path / "survey"
+
+
+def link(path: Path):
+    assert bpy.ops.pointsplat.link_scan(filepath=str(path)) == {"FINISHED"}
+    return bpy.context.object
+
+
+def look_down(size: tuple[int, int] = (48, 32)) -> None:
+    scene = bpy.context.scene
+    data = bpy.data.cameras.new("Camera")
+    data.type, data.ortho_scale, data.clip_end = "ORTHO", 210.0, 1000.0
+    camera = bpy.data.objects.new("Camera", data)
+    camera.location = 100.0, 100.0, 400.0
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    scene.render.engine = "POINTSPLAT"
+    scene.render.resolution_x, scene.render.resolution_y = size
+    scene.render.resolution_percentage = 100
+
+
+def report():
+    from pointsplat_addon.host import engine
+
+    bpy.ops.render.render()
+    return dict(engine.last_report)
+
+
+def test_a_linked_scan_is_a_light_object_that_refers_to_its_file(folder: Path) -> None:
+    ob = link(folder / "ept.json")
+    assert (ob.type, ob.name) == ("POINTCLOUD", "survey")
+    assert 0 < len(ob.data.points) <= 1.1 * STAND_IN
+    assert Path(ob.pointsplat.scan_path) == folder / "ept.json"
+    assert list(ob["pointsplat_origin"]) == [0.0, 0.0, 0.0]
+    assert {"position", "radius", "intensity"} <= {a.name for a in ob.data.attributes}
+
+
+def test_the_scene_holds_the_file_and_not_its_points(folder: Path) -> None:
+    link(folder)
+    [geometry] = sync().geometries
+    assert geometry.cloud is None
+    assert geometry.streamed is not None
+    assert geometry.streamed.stand_in is not None
+    assert geometry.streamed.scan.path == folder / "ept.json"
+    assert geometry.streamed.scan.source is None  # whoever draws has it opened
+
+
+def test_a_render_reads_what_its_tolerance_needs(folder: Path) -> None:
+    link(folder)
+    look_down()
+    bpy.context.scene.pointsplat.tolerance = 4.0
+    coarse = report()["streamed"]
+    bpy.context.scene.pointsplat.tolerance = 0.05
+    fine = report()["streamed"]
+    assert 0 < coarse["points"] < fine["points"] == COUNT
+    assert coarse["pages"] == coarse["needed_pages"] < fine["needed_pages"]
+    assert fine["pages"] == fine["needed_pages"] - coarse["needed_pages"]
+
+
+def test_filters_looks_and_clip_boxes_act_on_pages(folder: Path) -> None:
+    ob = link(folder)
+    look_down()
+    bpy.context.scene.pointsplat.tolerance = 0.05
+    one = ob.pointsplat.filters.add()
+    one.kind, one.low, one.high = "INTENSITY", 2.0, 3.0  # of the intensities 0 to 6 of each page
+    found = report()["streamed"]["points"]
+    assert found == pytest.approx(COUNT * 2 / 7, rel=0.02)
+    box = bpy.data.objects.new("Box", None)
+    box.location, box.scale = (50.0, 100.0, 100.0), (50.0, 200.0, 200.0)
+    clips = bpy.data.collections.new("Clips")
+    clips.objects.link(box)
+    bpy.context.scene.collection.children.link(clips)
+    ob.pointsplat.clip_boxes = clips
+    assert report()["streamed"]["points"] == pytest.approx(found / 2, rel=0.05)
+    ob.data.materials[0] = look_material(ob, "INTENSITY")
+    assert report()["warnings"] == []
+
+
+def test_a_missing_file_is_said_and_what_stands_in_is_drawn(folder: Path) -> None:
+    ob = link(folder)
+    look_down()
+    ob.pointsplat.scan_path = str(folder / "nowhere" / "ept.json")
+    found = report()
+    assert any("is missing" in warning for warning in found["warnings"])
+    assert found["points"]["cut"] == len(ob.data.points)
+
+
+def test_relative_paths_are_remapped_when_the_file_is_saved_elsewhere(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b" / "c").mkdir(parents=True)
+    ob = link(folder)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a" / "one.blend"))
+    assert ob.pointsplat.scan_path == "//../survey/ept.json"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "b" / "c" / "copy.blend"), copy=True)
+    assert ob.pointsplat.scan_path == "//../survey/ept.json"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "b" / "c" / "two.blend"))
+    assert ob.pointsplat.scan_path == "//../../survey/ept.json"
+    for name in ("copy", "two"):
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "b" / "c" / f"{name}.blend"))
+        assert bpy.data.objects["survey"].pointsplat.scan_path == "//../../survey/ept.json"
+
+
+def test_missing_files_are_found_again_below_a_folder(folder: Path, tmp_path: Path) -> None:
+    ob = link(folder)
+    (tmp_path / "archive").mkdir()
+    folder.rename(tmp_path / "archive" / "survey")
+    assert bpy.ops.pointsplat.find_missing_scans(directory=str(tmp_path)) == {"FINISHED"}
+    assert Path(ob.pointsplat.scan_path) == tmp_path / "archive" / "survey" / "ept.json"
+    assert bpy.ops.pointsplat.find_missing_scans(directory=str(tmp_path)) == {"FINISHED"}
+
+
+def test_what_is_no_such_scan_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.psh").write_bytes(b"no hierarchy")
+    with pytest.raises(RuntimeError, match="is no hierarchy"):
+        bpy.ops.pointsplat.link_scan(filepath=str(tmp_path / "a.psh"))
+    assert len(bpy.data.objects) == 0
