@@ -14,7 +14,7 @@ from ..core.scene import mesh as mesh_module
 from ..core.scene import scene
 from ..core.scene.cloud import PointCloud
 from ..core.scene.materials import MaterialTable
-from ..core.scene.streamed import StreamedScan
+from ..core.scene.scene import StreamedScan
 from ..core.scene.volume import Medium
 from ..core.surface.neighbourhoods.estimate import Ellipses
 from ..stream.scan import scan_at

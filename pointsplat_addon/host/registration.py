@@ -9,10 +9,23 @@ import bpy
 from . import caches, engine
 from .scans import linked_operators as linked
 from .scans import operators as scans
+from .scans import picking
 from .splats import operators as splats
 from .ui import operators, panels, point_filters, point_panels, preferences, properties
 
-MODULES = (point_filters, properties, operators, scans, linked, splats, preferences, engine, panels, point_panels)
+MODULES = (
+    point_filters,
+    properties,
+    operators,
+    scans,
+    linked,
+    picking,
+    splats,
+    preferences,
+    engine,
+    panels,
+    point_panels,
+)
 CLASSES = tuple(cls for module in MODULES for cls in module.CLASSES)
 
 _registered = False
@@ -36,6 +49,7 @@ def register() -> None:
     operators.register()
     scans.register()
     linked.register()
+    picking.register()
     splats.register()
     panels.register()
     caches.register()
@@ -55,6 +69,7 @@ def unregister() -> None:
     atexit.unregister(unregister)
     panels.unregister()
     splats.unregister()
+    picking.unregister()
     linked.unregister()
     scans.unregister()
     operators.unregister()

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.numeric.record import record
 from ..core.scene.cloud import ATTRIBUTES, PointCloud
-from ..core.scene.streamed import PointSize
+from ..core.scene.scene import PointSize
 from .page import Page
 from .tree import PageTree
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..core.numeric.record import record
 from ..core.scene.cloud import PointCloud
-from ..core.scene.streamed import PageLook
+from ..core.scene.scene import PageLook
 from ..core.scene.valid.geometry import valid_points
 from ..core.surface.nearest import median_spacing
 from ..formats.points.reader import Columns
@@ -15,7 +15,7 @@ from .tree import PageTree
 
 @record
 class Page:
-    """The splats of one page, see core.scene.streamed.PageSplats."""
+    """The splats of one page, see core.scene.scene.PageSplats."""
 
     cloud: PointCloud | None  # None: nothing of it is drawn
     shape: np.ndarray | None  # (N, 8) float32 of nodes; None: they are points

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from ..core.scene.streamed import PageLook
+from ..core.scene.scene import PageLook
 from .page import Page
 from .scan import PagedScan
 

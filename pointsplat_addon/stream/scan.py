@@ -8,7 +8,7 @@ import weakref
 from collections.abc import Callable
 from pathlib import Path
 
-from ..core.scene.streamed import PageLook
+from ..core.scene.scene import PageLook
 from ..formats.hierarchies.opening import open_pages
 from ..formats.hierarchies.source import PageSource
 from ..formats.points.reader import PointFileError

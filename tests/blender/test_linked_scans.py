@@ -8,6 +8,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 import pointsplat_addon
+from pointsplat_addon.host.scans import picking
 from pointsplat_addon.host.scans.linking import STAND_IN
 from pointsplat_addon.host.scans.looks import look_material
 from pointsplat_addon.stream.pool import POOL
@@ -146,3 +147,20 @@ def test_what_is_no_such_scan_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="is no hierarchy"):
         bpy.ops.pointsplat.link_scan(filepath=str(tmp_path / "a.psh"))
     assert len(bpy.data.objects) == 0
+
+
+def test_points_are_picked_from_the_file_with_their_map_coordinate_and_distance(folder: Path) -> None:
+    ob = link(folder)
+    ob.location = 1000.0, 0.0, 0.0
+    bpy.context.view_layer.update()
+    for x in (30.0, 130.0):
+        found = bpy.ops.pointsplat.pick_point(start=(1000.0 + x, 50.0, 500.0), along=(0.0, 0.0, -1.0), reach=3.0)
+        assert found == {"FINISHED"}
+    first, second = picking.PICKS
+    assert np.linalg.norm(first.point.coordinate - (30.0, 50.0, 100.0)) < 3.0
+    assert np.linalg.norm(second.point.coordinate - (130.0, 50.0, 100.0)) < 3.0
+    assert {"intensity", "color"} <= set(first.point.attributes)
+    apart = np.linalg.norm(first.point.coordinate - second.point.coordinate)
+    assert picking.distance() == pytest.approx(apart, abs=1e-3)
+    none = bpy.ops.pointsplat.pick_point(start=(0.0, 0.0, 500.0), along=(0.0, 0.0, 1.0), reach=3.0)
+    assert none == {"CANCELLED"}

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.streamed import PageSplats
+from pointsplat_addon.core.scene.scene import PageSplats
 from pointsplat_addon.formats.hierarchies.octree import Octree
 from pointsplat_addon.formats.points.reader import Columns, FileReader, Header, PointFileError
 from pointsplat_addon.stream.scan import PagedScan

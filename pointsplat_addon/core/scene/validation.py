@@ -106,6 +106,7 @@ RULES: dict[type, dict[str, Rule]] = {
         "spacing": Rule(DEFAULT, 0, FARTHEST),
         "extinction": Rule(DEFAULT, 0, FLOAT32),
         "pixel_radius": Rule(LATER),  # radii of points are checked
+        "node_shape": Rule(LATER),  # nodes of pages are made of half-axes that are numbers
     },
     PointCloud: {
         "origin": Rule(REMOVE, *_DISTANCE),

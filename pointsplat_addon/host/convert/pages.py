@@ -16,7 +16,7 @@ from ...core.lod.balls.covered import node_shape
 from ...core.material.graph import Needs, needs
 from ...core.numeric.record import value_record
 from ...core.scene.cloud import PointCloud
-from ...core.scene.streamed import PageSplats, PointSize
+from ...core.scene.scene import PageSplats, PointSize
 from ...core.surface.appearance import CLIP
 from . import arrays
 from .point_shapes import PointShape
@@ -35,7 +35,7 @@ class LinkedScan:
 
 
 class ScanLook:
-    """How elements of pages become splats, by a material and filters: see core/scene/streamed.py."""
+    """How elements of pages become splats, by a material and filters: see core/scene/scene.py."""
 
     def __init__(self, material: SampleMaterial, filters: Filters | None, shape: PointShape) -> None:
         self._material = replace(material, alpha=1.0, translucent=False, medium=None, extinction=0.0)
@@ -43,7 +43,7 @@ class ScanLook:
         self.key = arrays.digest(self._material.key, filters, self._disks)
 
     def splats(self, elements: Mapping[str, np.ndarray]) -> PageSplats | None:
-        """See core/scene/streamed.py."""
+        """See core/scene/scene.py."""
         if len(elements["position"]) == 0:
             return None
         rows, _ = kept_points(elements, self._filters) if self._filters else (None, ())

@@ -30,7 +30,9 @@ def on_save(path: Any, *_arguments: object) -> None:
     relative = bpy.context.preferences.filepaths.use_relative_paths
     for ob in linked_objects():
         stored = ob.pointsplat.scan_path
-        if stored.startswith("//") and source is not None or source is None and relative and Path(stored).is_absolute():
+        if (stored.startswith("//") and source is not None) or (
+            source is None and relative and Path(stored).is_absolute()
+        ):
             _before[ob.name] = stored
             try:
                 ob.pointsplat.scan_path = bpy.path.relpath(bpy.path.abspath(stored), start=str(target))

@@ -235,6 +235,9 @@ class POINTSPLAT_OBJECT_PT_scan(bpy.types.Panel):
             if key != "ATTRIBUTE":
                 flow.operator("pointsplat.scan_look", text=looks.LOOKS[key][2]).look = key
         layout.operator("pointsplat.scan_look", text="By Attribute").look = "ATTRIBUTE"
+        if ob.pointsplat.scan_path:
+            layout.prop(ob.pointsplat, "scan_path")
+            layout.label(text="Points are picked in a 3D view: View, Pick Point")
 
 
 def _menu(self: Any, _context: bpy.types.Context) -> None:

@@ -15,9 +15,8 @@ from ...core.numeric.record import record, value_record
 from ...core.scene.bounds import within
 from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud
-from ...core.scene.scene import Geometry, Scene
+from ...core.scene.scene import Geometry, Scene, StreamedScan
 from ...core.scene.settings import Settings
-from ...core.scene.streamed import StreamedScan
 from ...stream.cut import CutSplats, cut_pages, splats_of_cut
 from ...stream.need import Need, needed_pages
 from ...stream.pool import PICTURE, POOL, VIEWPORT, PagePool, Wish, wishes_of

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Geometry, Scene
+from pointsplat_addon.core.scene.scene import Geometry, PointSize, Scene, StreamedScan
 from pointsplat_addon.core.scene.settings import Settings
-from pointsplat_addon.core.scene.streamed import PointSize, StreamedScan
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.render.plan.request import Request, Result
 from pointsplat_addon.stream.need import needed_pages

@@ -19,9 +19,9 @@ from ..pages import (
     encode_color,
     encode_length,
     encode_normal,
+    encode_position,
     frames,
     grid_of,
-    encode_position,
     linear_of_code,
     pack,
 )

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ....core.numeric.vectors import each_block, take_rows
-from ....core.surface.neighbourhoods.estimate import LEAST_FITTING, LINE, neighbours_of
 from ....core.surface.neighbourhoods.ellipses import FITTING
+from ....core.surface.neighbourhoods.estimate import LEAST_FITTING, LINE, neighbours_of
 from ....core.surface.neighbourhoods.nearest import make_orders
 from ....core.surface.neighbourhoods.planes import fit_planes
 

@@ -327,6 +327,6 @@ def attribute_codes(values: np.ndarray, kind: str) -> np.ndarray:
     most = np.iinfo(dtype).max
     if values.dtype.kind == "f":
         values = np.nan_to_num(values)
-        values = values * most if len(values) and 0 <= values.min() and values.max() <= 1 else values
+        values = values * most if len(values) and values.min() >= 0 and values.max() <= 1 else values
         values = np.round(values)
     return np.clip(values, 0, most).astype(dtype)
