@@ -169,7 +169,7 @@ def _ray(region: Any, view: Any, at: np.ndarray) -> tuple[np.ndarray, np.ndarray
     """Start and direction in the world of the ray through a place of a 3D view, in pixels; and how far from it REACH
     pixels are: at its start, and what is added in a unit of distance."""
     starts, directions = (
-        [np.array(of(region, view, at + (shift, 0.0)), np.float64) for shift in (0.0, REACH)]
+        [np.array(of(region, view, at + np.array([shift, 0.0])), np.float64) for shift in (0.0, REACH)]
         for of in (view3d_utils.region_2d_to_origin_3d, view3d_utils.region_2d_to_vector_3d)
     )
     return (
