@@ -21,7 +21,7 @@ from .cloud import FARTHEST, LENGTHS, PointCloud
 from .lights import Light
 from .materials import HairTable, MaterialTable, default_materials
 from .mesh import LARGEST, Mesh
-from .scene import Geometry, Instances, Scene, StreamedScan
+from .scene import Geometry, Instances, PointSize, Scene, StreamedScan
 from .strands import Strands
 from .valid.captured import valid_captured
 from .valid.geometry import valid_mesh, valid_points, valid_strands
@@ -134,6 +134,7 @@ RULES: dict[type, dict[str, Rule]] = {
         **dict.fromkeys(("base", "sh"), Rule(REMOVE, -FLOAT32, FLOAT32)),
         "opacity": Rule(REMOVE, -FLOAT32, FLOAT32),  # below 0 it is 0, and above 1 it is 1
     },
+    PointSize: {"radius": Rule(LATER)},  # radii of points are checked
     StreamedScan: {"box_from_object": Rule(LATER)},  # comparisons with what is no number are false
     Volume: {"object_from_index": Rule(LATER), "grids": _VOXELS},  # its points are valid: `valid_points`
     Transfer: dict.fromkeys(("low", "high", "ramp", "density"), _VOXELS),
