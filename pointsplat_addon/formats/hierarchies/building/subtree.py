@@ -15,7 +15,7 @@ from .runs import Batch, cell_codes, sorted_codes
 
 EVERY = 32  # of so many points one is asked for its nearest neighbour
 WINDOW = 10  # points on either side in Morton order among which it is looked for
-SAMPLE = 1 << 15  # points that tell how evenly a chunk is sampled
+LOOKED_AT = 512  # points that tell how evenly a chunk is sampled
 
 
 @dataclass
@@ -47,8 +47,7 @@ def build_subtree(layout: Layout, points: Batch, low: np.ndarray, edge: float) -
     columns = {name: np.take(column, order, axis=0) for name, column in points.columns.items()}
     root = _split(code)
     spacing = _spacings(position, root)
-    part = position[:, :: max(1, position.shape[1] // SAMPLE)] if position.shape[1] < SAMPLE else position[:, :SAMPLE]
-    even = saturation(np.ascontiguousarray((part - part[:, :1]).T, np.float32))
+    even = saturation((position - low[:, None]).T.astype(np.float32), LOOKED_AT)
     build = _Build(layout, position, columns, code, spacing, low, edge, even)
     top = build.page(root, -1)
     return Subtree(np.array(build.pages, PAGE), build.blobs, top, even)
