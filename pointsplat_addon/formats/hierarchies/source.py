@@ -26,7 +26,7 @@ class Directory:
     points: int  # of the whole scan
     origin: np.ndarray  # (3,) float64 map coordinate
     crs: str = ""  # coordinate reference system, as in `points.reader.Header`
-    cube: np.ndarray | None = None  # (P, 4) float64, low corner and edge of the pages' cubes, where they are an octree's
+    cube: np.ndarray | None = None  # (P, 4) float64, low corner and edge of the pages' cubes; None: they have none
     additive: bool = False  # children add points to those of their parent (Entwine, COPC); else they stand in for it
 
     def __len__(self) -> int:

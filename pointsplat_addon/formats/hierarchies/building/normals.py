@@ -1,12 +1,12 @@
-"""Normals of points from their neighbours: planes through the nearest ones, as core/surface/neighbourhoods fits them."""
+"""Normals of points from their neighbours: planes through the nearest ones (core/surface/neighbourhoods)."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ....core.numeric.vectors import each_block, take_rows
-from ....core.surface.neighbourhoods.estimate import LEAST_FITTING, LINE, neighbours_of
 from ....core.surface.neighbourhoods.ellipses import FITTING
+from ....core.surface.neighbourhoods.estimate import LEAST_FITTING, LINE, neighbours_of
 from ....core.surface.neighbourhoods.nearest import make_orders
 from ....core.surface.neighbourhoods.planes import fit_planes
 

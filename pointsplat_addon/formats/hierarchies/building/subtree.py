@@ -11,7 +11,8 @@ from ....core.lod.balls.tree import saturation
 from ..pages import Layout, encode_normal, encode_position, grid_of, pack
 from ..psh import LEAF, PAGE, WIDE
 from .nodes import FINEST, MOST, Elements, elements_of_points, joined, merged, pack_nodes
-from .runs import Batch, cell_codes, sorted_codes
+from .octree import cell_codes, sorted_codes
+from .runs import Batch
 
 EVERY = 32  # of so many points one is asked for its nearest neighbour
 WINDOW = 10  # points on either side in Morton order among which it is looked for
@@ -65,7 +66,8 @@ def _split(code: np.ndarray) -> _Cell:
             octant = code[cell.first : cell.stop] >> np.uint64(3 * (FINEST - cell.level))
             ends = cell.first + np.r_[0, 1 + np.flatnonzero(octant[1:] != octant[:-1]), len(octant)]
             if len(ends) > 2:
-                cell.children = [_Cell(cell.level, a, b) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
+                within = zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)
+                cell.children = [_Cell(cell.level, a, b) for a, b in within]
                 cell.level -= 1
                 waiting += cell.children
     return root
