@@ -4,7 +4,7 @@
         [--attributes intensity,classification] [--workers N | --scheduler tcp://...]
     python scripts/points.py info NAME.psh
 
-INPUT: files of points, folders of Entwine or Potree octrees, or patterns such as "tiles/*.laz", which are sorted by name.
+INPUT: files of points, folders of Entwine or Potree octrees, or patterns such as "tiles/*.laz", sorted by name.
 --memory: at most so many bytes, also as 800M or 4G; default: a quarter of the machine's. --workers: processes; default:
 as many as there are processors. --scheduler: the address of a Dask scheduler, whose workers find this package and see
 inputs and output under the same paths. A build that was stopped goes on where it was. Exit codes: 0 built, 1 failed,
@@ -119,7 +119,8 @@ def info(args: argparse.Namespace) -> int:
         print(f"points.py: {error}", file=sys.stderr)
         return 1
     has = [n for n, there in (("colour", layout.color), ("normals", layout.normal)) if there]
-    print(f"{directory.points:,} points with {', '.join([*has, *(n for n, _ in layout.attributes)]) or 'positions alone'}")
+    has += [name for name, _ in layout.attributes]
+    print(f"{directory.points:,} points with {', '.join(has) or 'positions alone'}")
     print(f"{len(directory):,} pages of {directory.level.max() + 1} levels, {directory.nbytes.sum():,} bytes")
     print(f"origin {directory.origin.tolist()}, bounds {(directory.bounds[0] + directory.origin).tolist()}")
     print(f"reference system: {directory.crs or 'none'}")

@@ -29,10 +29,9 @@ def copy(source: Path, folder: Path, number: int, column: int, row: int, count: 
     header = laspy.LasHeader(point_format=7, version="1.4")
     low, high = np.array(tile.header.mins), np.array(tile.header.maxs)
     header.scales, header.offsets = np.array([0.01, 0.01, 0.01]), np.floor(low)
-    if (crs := tile.header.parse_crs() if hasattr(tile.header, "parse_crs") and _has_pyproj() else None) is not None:
-        header.add_crs(crs)
+    header.vlrs += [record for record in tile.header.vlrs if record.user_id == "LASF_Projection"]
     made = laspy.LasData(header)
-    position = np.stack([tile.x, tile.y, tile.z], axis=1)[:count]
+    position = np.array(tile.xyz)[:count]
     for axis, odd in enumerate((column % 2, row % 2)):
         if odd:
             position[:, axis] = low[axis] + high[axis] - position[:, axis]
@@ -44,14 +43,6 @@ def copy(source: Path, folder: Path, number: int, column: int, row: int, count: 
     unfinished = path.with_suffix(".part.laz")
     made.write(str(unfinished))
     unfinished.replace(path)
-
-
-def _has_pyproj() -> bool:
-    try:
-        import pyproj  # noqa: F401
-    except ImportError:
-        return False
-    return True
 
 
 def main() -> None:

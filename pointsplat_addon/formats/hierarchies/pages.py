@@ -86,7 +86,7 @@ def encode_position(position: np.ndarray, grid: Grid) -> dict[str, np.ndarray]:
         counted += 0.5
         np.minimum(counted, most, out=counted)
         out[:] = counted
-    found = {"low": code.astype(np.uint16)}
+    found: dict[str, np.ndarray] = {"low": code.astype(np.uint16)}
     if grid.wide:
         found["high"] = (code >> np.uint32(16)).astype(np.uint8)
     return found
@@ -125,8 +125,7 @@ def encode_color(linear: np.ndarray) -> np.ndarray:
 def frames() -> np.ndarray:
     """(65536, 9) float32: the unit vectors that the codes of normals stand for, and two axes across each (`basis`).
 
-    Octahedral (Meyer et al. 2010), 255 steps to a side, so that the axes are among them; code 255 + 256 * 255 stands for
-    no vector.
+    Octahedral (Meyer et al. 2010), 255 steps to a side, so that the axes are among them; NONE stands for no vector.
     """
     y, x = np.divmod(np.arange(65536), 256)
     x, y = (np.minimum(c, 254) / 127.0 - 1 for c in (x, y))
@@ -196,10 +195,10 @@ def unpack(
     at = 0
     for name, kind, width in layout.columns(leaf, grid.wide):
         dtype = np.dtype("<u2" if width == 2 else kind)
-        columns = 1 if width == 2 else width
-        found = np.frombuffer(data, dtype, count * columns, at)
+        rows = 1 if width == 2 else width
+        found = np.frombuffer(data, dtype, count * rows, at)
         at += found.nbytes
-        raw[name] = found.reshape(columns, count) if columns > 1 else found
+        raw[name] = found.reshape(rows, count) if rows > 1 else found
     columns: Columns = {"position": decode_position(raw, grid, origin)}
     if layout.color:
         columns["color"] = linear_of_code()[np.ascontiguousarray(raw["color"].T)]

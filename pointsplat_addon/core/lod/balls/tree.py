@@ -96,8 +96,9 @@ def build_ball_tree(cloud: PointCloud) -> BallTree:
     )
 
 
-def saturation(position: np.ndarray) -> float:
-    """How much faster nodes over points (N, 3) in Morton order become opaque than nodes over random ones would.
+def saturation(position: np.ndarray, looked_at: int = RUNS) -> float:
+    """How much faster nodes over points (N, 3) in Morton order become opaque than nodes over random ones would, by so
+    many of them.
 
     A node that its balls cover t times, in the sum of their areas, is covered by 1 - exp(-t (1 + s t)). Balls that keep
     away from each other overlap less than random ones. Distances to the k-th neighbour, among a run of points, tell how
@@ -106,7 +107,7 @@ def saturation(position: np.ndarray) -> float:
     """
     if len(position) <= 2 * RUN:
         return MOST_SATURATION
-    middle = np.linspace(RUN, len(position) - RUN - 1, RUNS).astype(np.int64)
+    middle = np.linspace(RUN, len(position) - RUN - 1, looked_at).astype(np.int64)
     around = middle[:, None] + np.r_[-RUN:0, 1 : RUN + 1]
     away = position[around].astype(np.float64) - position[middle][:, None]
     square = np.sort((away * away).sum(axis=2), axis=1)[:, [0, 3, 15]]

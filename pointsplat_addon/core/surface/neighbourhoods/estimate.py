@@ -111,9 +111,11 @@ def turn_towards(normal: np.ndarray, position: np.ndarray, station: np.ndarray) 
     each_block(len(normal), turn)
 
 
-def neighbours_of(orders: Orders, block: slice) -> tuple[np.ndarray, np.ndarray]:
-    """Offsets (3, k, n) of the nearest neighbours of points, and the squares of their lengths (k, n)."""
-    index, squared = nearest(orders, block, NEIGHBOURS)
+def neighbours_of(
+    orders: Orders, block: slice, count: int = NEIGHBOURS, window: int = WINDOW
+) -> tuple[np.ndarray, np.ndarray]:
+    """Offsets (3, k, n) of the nearest neighbours of points, and the squares of their lengths (k, n); see `nearest`."""
+    index, squared = nearest(orders, block, count, window)
     index = np.ascontiguousarray(index.T)
     offset = np.empty((3, *index.shape), np.float32)
     for axis, column in enumerate(orders.position):

@@ -6,7 +6,8 @@
 4. Pages above the chunks are merged from these, and all are put into one file (`join`).
 
 Each step's result is a file in the folder NAME.psh.building, which is there as a whole or not at all, and depends on
-the inputs alone: whoever does the steps, in whatever order and however often they are interrupted, the file is the same.
+the inputs alone: whoever does the steps, in whatever order, and however often they are interrupted, the file is the
+same to the byte.
 """
 
 from __future__ import annotations
@@ -24,10 +25,12 @@ from ....core.numeric.record import record, value_record
 from ...points.reader import PointFileError, origin_of
 from ..pages import Layout
 from ..psh import VERSION
-from .cells import Cell, chunks_of, groups_of
+from .cells import chunks_of, groups_of
+from .files import write_json
 from .inputs import ATTRIBUTES, Input, inputs_of, tasks_of, warnings_of
 from .join import join
-from .runs import Cube, cube_of, merged_cells, run_path, write_json
+from .octree import Cell, Cube, cube_of
+from .runs import merged_cells, run_path
 from .steps import Plan, Work, indices_of, plan_facts, read_cube
 from .workers import Progress, Workers, default_count, workers_of
 

@@ -6,30 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ....core.numeric.record import value_record
-from .runs import DEPTH
+from .octree import DEPTH, Cell, place_of, spread_bits
 
 CHUNK = 1 << 20  # points of a chunk at most, but where a cell of level DEPTH holds more
 MOST_CELLS = 64  # that one task builds
 NEAR = 4  # levels below a chunk: cells of which a layer around it is read for the neighbours of its points
 
 
-@value_record
-class Cell:
-    """A cell of the octree."""
-
-    level: int
-    code: int  # in Morton order, at this level
-    points: int
-
-    def range(self, depth: int = DEPTH) -> tuple[int, int]:
-        """First code of the cells within at level `depth`, and the first one behind them."""
-        shift = 3 * (depth - self.level)
-        return self.code << shift, (self.code + 1) << shift
-
-
 def chunks_of(cell: np.ndarray, count: np.ndarray) -> list[Cell]:
-    """The largest cells of at most CHUNK points, in Morton order, of the points (C,) in cells of level DEPTH, rising."""
+    """The largest cells of at most CHUNK points, in Morton order, of points (C,) in cells of level DEPTH, rising."""
     total = np.concatenate([[0], np.cumsum(count)])
     found: list[Cell] = []
     codes = np.zeros(1, np.int64)
@@ -59,20 +44,9 @@ def groups_of(chunks: Sequence[Cell]) -> list[list[Cell]]:
     return found
 
 
-def place_of(code: int, level: int) -> tuple[int, int, int]:
-    """The cell's coordinates, in cells of its level."""
-    found = [0, 0, 0]
-    for bit in range(level):
-        for axis in range(3):
-            found[axis] |= (code >> (3 * bit + axis) & 1) << bit
-    return found[0], found[1], found[2]
-
-
 def layer_around(chunk: Cell) -> tuple[np.ndarray, np.ndarray]:
     """Ranges of codes (R,), of level DEPTH, of the cells around a chunk: a layer as wide as its edge over 2^NEAR, or as
     a cell of level DEPTH."""
-    from .runs import spread_bits
-
     depth = min(chunk.level + NEAR, DEPTH)
     inside = 1 << (depth - chunk.level)
     place = np.array(place_of(chunk.code, chunk.level)) * inside

@@ -13,13 +13,10 @@ import numpy as np
 
 from ..pages import Layout
 from ..psh import HEAD, PAGE, pack_directory, pack_head
-from .cells import Cell
+from .files import COPIED, Arrays, written
 from .nodes import Elements, joined, merged, pack_nodes
-from .runs import DEPTH, Arrays, Cube, written
-from .steps import cube_of_cell
+from .octree import DEPTH, Cell, Cube, cube_of_cell
 from .subtree import page_entry
-
-COPIED = 1 << 24  # bytes at once
 
 
 @dataclass

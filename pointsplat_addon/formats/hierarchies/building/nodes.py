@@ -1,8 +1,8 @@
 """Merges points and nodes into the nodes of coarser pages, and codes them.
 
-Rows (ROWS + A, n) float64 stand for elements: weight (squared radius of the balls, summed), mean position (3), covariance
-about it (6), weighted means of the squared radius and of A attributes. Balls have half the spacing of their page as
-radius. Sums are taken about each node's own mean, as in core/lod/balls.
+Rows (ROWS + A, n) float64 stand for elements: weight (squared radius of the balls, summed), mean position (3),
+covariance about it (6), weighted means of the squared radius and of A attributes. Balls have half the spacing of their
+page as radius. Sums are taken about each node's own mean, as in core/lod/balls.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ..pages import (
     linear_of_code,
     pack,
 )
-from .runs import cell_codes, sorted_codes
+from .octree import cell_codes, sorted_codes
 
 ROWS = 11
 GRID = 7  # levels from a page's cube to the finest cells of its nodes
@@ -113,10 +113,8 @@ def pack_nodes(layout: Layout, nodes: Elements, saturation: float) -> tuple[byte
     frame = frames()[code].T.astype(np.float64)
     shape = SPREAD * covariance
     shape[[0, 3, 5]] += rows[10]
-    uu, uv, vv = (
-        bilinear_form(shape, a, b)
-        for a, b in ((frame[3:6], frame[3:6]), (frame[3:6], frame[6:]), (frame[6:], frame[6:]))
-    )
+    u, v = frame[3:6], frame[6:]
+    uu, uv, vv = bilinear_form(shape, u, u), bilinear_form(shape, u, v), bilinear_form(shape, v, v)
     middle, half = 0.5 * (uu + vv), 0.5 * (uu - vv)
     apart = np.hypot(half, uv)
     angle = np.arctan2(uv, half) * (0.5 * 256 / np.pi)  # codes count 1/256 of half a turn

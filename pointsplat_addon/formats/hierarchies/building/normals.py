@@ -1,4 +1,4 @@
-"""Normals of points from their neighbours: planes through the nearest ones, as core/surface/neighbourhoods fits them."""
+"""Normals of points from their neighbours: planes through the nearest ones (core/surface/neighbourhoods)."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from ....core.surface.neighbourhoods.estimate import LEAST_FITTING, LINE, neighb
 from ....core.surface.neighbourhoods.nearest import make_orders
 from ....core.surface.neighbourhoods.planes import fit_planes
 
+NEIGHBOURS, WINDOW = 16, 8  # fewer than shapes of surfaces take, for half the time
 BLOCK = 1 << 12  # points at once: their candidates stay in the processor's cache
 THICK = 0.5  # of `Planes.thickness`, from which on neighbours lie on no plane
 MARGIN = 6.0  # distances between points within which neighbours are looked for beyond a chunk's border
@@ -21,7 +22,7 @@ def normals_of(position: np.ndarray) -> np.ndarray:
     normal = np.zeros((len(orders), 3), np.float32)
 
     def fit(block: slice) -> None:
-        planes = fit_planes(*neighbours_of(orders, block))
+        planes = fit_planes(*neighbours_of(orders, block, NEIGHBOURS, WINDOW))
         few = (planes.weight > FITTING).sum(axis=0) < LEAST_FITTING
         lone = few | (planes.breadth < LINE) | (planes.thickness > THICK)
         found = np.where(planes.normal[2] < 0, -planes.normal, planes.normal)

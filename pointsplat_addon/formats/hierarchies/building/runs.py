@@ -1,5 +1,5 @@
-"""Sorts points by cells of an octree in runs that fit memory, each a file: an external merge sort, whose merging is left
-to those who read ranges of all runs.
+"""Sorts points by cells of an octree in runs that fit memory, each a file: an external merge sort, whose merging is
+left to those who read ranges of all runs.
 
 Cells are those of level DEPTH of a cube; within a run, points follow in Morton order of their cells. A run's index
 tells where each cell begins.
@@ -7,147 +7,18 @@ tells where each cell begins.
 
 from __future__ import annotations
 
-import contextlib
-import json
-import os
 from collections.abc import Iterable, Iterator, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ....core.numeric.record import record, value_record
+from .files import Arrays, write_arrays
 from .inputs import BATCH
+from .octree import DEPTH, Cube, cell_codes, sorted_codes
 
-DEPTH = 10  # levels of the octree whose cells tell runs' ranges apart
-COPIED = 1 << 24  # bytes at once
 COARSEST = 2.0**-16  # units: steps of positions in runs, as integers of 32 bits; runs that are wider have float64
-STRAY = 1e-3  # share of colours whose low bytes may differ where 16 bits hold 8
-
-
-@value_record
-class Cube:
-    """The cube of an octree's root."""
-
-    low: tuple[float, float, float]
-    edge: float
-
-
-def cube_of(low: np.ndarray, high: np.ndarray) -> Cube:
-    """The cube that holds a box of two corners (3,)."""
-    edge = float((high - low).max())
-    return Cube(tuple(low.tolist()), edge * (1 + 2.0**-20) if edge > 0 else 1.0)
-
-
-@cache
-def spread_bits(depth: int) -> np.ndarray:
-    """(2^depth,) uint64: the bits of a number, two apart."""
-    number = np.arange(1 << depth, dtype=np.uint64)
-    found = np.zeros(len(number), np.uint64)
-    for bit in range(depth):
-        found |= (number >> np.uint64(bit) & np.uint64(1)) << np.uint64(3 * bit)
-    return found
-
-
-def cell_codes(position: Sequence[np.ndarray], low: Sequence[float], edge: float, depth: int) -> np.ndarray:
-    """Morton codes (N,) uint64 of the cells, of level `depth` of a cube, in which positions (3, N) float64 lie; those
-    outside of it count to the nearest cells."""
-    table = spread_bits(depth)
-    code = np.zeros(len(position[0]), np.uint64)
-    for axis, column in enumerate(position):
-        cell = (column - low[axis]) * (2.0**depth / edge)
-        np.clip(cell, 0, (1 << depth) - 1, out=cell)
-        code |= table[cell.astype(np.int32)] << np.uint64(axis)
-    return code
-
-
-def sorted_codes(code: np.ndarray, bits: int) -> tuple[np.ndarray, np.ndarray]:
-    """The order (N,) int64 of codes (N,) uint64, of which so many bits tell them apart, equal ones as they come, and
-    the codes in it. N < 2^(64 - bits)."""
-    # Each code with its number is one of a kind: any sort of values gives one order, and sorts of values are fast.
-    room = np.uint64(64 - bits)
-    key = (code << room) | np.arange(len(code), dtype=np.uint64)
-    key.sort()
-    return (key & np.uint64((1 << int(room)) - 1)).astype(np.int64), key >> room
-
-
-# ---------------------------------------------------------------------------- files
-
-
-@contextlib.contextmanager
-def written(path: Path) -> Iterator[Any]:
-    """A file that is there as a whole or not at all. Raises OSError."""
-    unfinished = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
-        with unfinished.open("wb") as file:
-            yield file
-        os.replace(unfinished, path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            unfinished.unlink()
-        raise
-
-
-def write_json(path: Path, facts: Any) -> None:
-    with written(path) as file:
-        file.write(json.dumps(facts).encode())
-
-
-def write_arrays(path: Path, arrays: dict[str, np.ndarray], facts: dict[str, Any]) -> None:
-    """Writes arrays, one after the other, behind what is said of them. Raises OSError."""
-    table, at = {}, 0
-    for name, array in arrays.items():
-        table[name] = [array.dtype.descr if array.dtype.names else array.dtype.str, list(array.shape), at]
-        at += array.nbytes
-    head = json.dumps({**facts, "arrays": table}).encode()
-    with written(path) as file:
-        file.write(len(head).to_bytes(8, "little") + head)
-        for array in arrays.values():
-            file.write(np.ascontiguousarray(array).data.cast("B") if array.size else b"")
-
-
-class Arrays:
-    """A file of `write_arrays`, of which ranges of rows are read."""
-
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("rb")
-        length = int.from_bytes(self._file.read(8), "little")
-        self.facts = json.loads(self._file.read(length))
-        self._start = 8 + length
-
-    def _dtype(self, kind: Any) -> np.dtype:
-        return np.dtype(
-            kind if isinstance(kind, str) else [tuple(tuple(p) if isinstance(p, list) else p for p in f) for f in kind]
-        )
-
-    def copy(self, name: str, out: Any) -> None:
-        """Writes an array's bytes to a file."""
-        kind, shape, at = self.facts["arrays"][name]
-        left = self._dtype(kind).itemsize * int(np.prod(shape))
-        self._file.seek(self._start + at)
-        while left and (part := self._file.read(min(left, COPIED))):
-            out.write(part)
-            left -= len(part)
-
-    def rows(self, name: str, first: int = 0, stop: int | None = None) -> np.ndarray:
-        kind, shape, at = self.facts["arrays"][name]
-        dtype, stop = self._dtype(kind), shape[0] if stop is None else stop
-        row = dtype.itemsize * int(np.prod(shape[1:]))
-        found = np.empty((stop - first, *shape[1:]), dtype)
-        self._file.seek(self._start + at + first * row)
-        if found.size and self._file.readinto(found.data.cast("B")) != found.nbytes:
-            raise OSError(f"{self._file.name} is shorter than it was")
-        return found
-
-    def __enter__(self) -> Arrays:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
-
-
-# ---------------------------------------------------------------------------- runs
 
 
 def run_path(folder: Path, name: str, number: int) -> Path:
@@ -292,41 +163,3 @@ def row_ranges(first: np.ndarray, stop: np.ndarray) -> list[tuple[int, int]]:
     begins = np.r_[True, first[1:] != stop[:-1]] if len(first) else np.empty(0, bool)
     ends = np.r_[begins[1:], True] if len(first) else begins
     return list(zip(first[begins].tolist(), stop[ends].tolist(), strict=True))
-
-
-# ---------------------------------------------------------------------------- columns of files
-
-
-def color_bytes(values: np.ndarray) -> tuple[np.ndarray, bool]:
-    """Colours (N, C) of a file as (N, 3) uint8, and whether wider fields hold no more than 8 bits.
-
-    Fields of 16 bits often hold 8: as they are, times 256, or times 257.
-    """
-    values = values[:, :3]
-    if values.dtype == np.uint8:
-        return np.ascontiguousarray(values), False
-    if values.dtype.kind == "f":
-        scale = 1.0 if float(np.nanmax(values, initial=0.0)) > 1.0 else 255.0
-        return np.clip(np.nan_to_num(values * scale) + 0.5, 0, 255).astype(np.uint8), False
-    most = int(values.max(initial=0))
-    if most <= 255:
-        return np.clip(values, 0, 255).astype(np.uint8), True
-    if most > 65535:
-        return (values / (np.iinfo(values.dtype).max / 255.0) + 0.5).astype(np.uint8), False
-    low, high = values & 255, values >> 8
-    if np.count_nonzero((low != 0) & (low != high)) <= STRAY * low.size:
-        return high.astype(np.uint8), False
-    return (values.astype(np.uint32) * np.uint32(255) + np.uint32(32768) >> np.uint32(16)).astype(np.uint8), False
-
-
-def attribute_codes(values: np.ndarray, kind: str) -> np.ndarray:
-    """A column of a file in the type that the hierarchy keeps; floats from 0 to 1 fill it, what is beyond is clipped."""
-    dtype = np.dtype(kind)
-    if dtype.kind == "f":
-        return values.astype(dtype)
-    most = np.iinfo(dtype).max
-    if values.dtype.kind == "f":
-        values = np.nan_to_num(values)
-        values = values * most if len(values) and values.min() >= 0 and values.max() <= 1 else values
-        values = np.round(values)
-    return np.clip(values, 0, most).astype(dtype)

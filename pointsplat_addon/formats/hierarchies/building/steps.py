@@ -16,21 +16,12 @@ import numpy as np
 
 from ....core.numeric.record import value_record
 from ..pages import Layout
-from .cells import Cell, layer_around, place_of
+from .cells import layer_around
+from .columns import attribute_codes, color_bytes
+from .files import write_arrays, write_json
 from .inputs import PARTS, Input, Part, read_part
-from .runs import (
-    Batch,
-    Cube,
-    Index,
-    attribute_codes,
-    color_bytes,
-    read_index,
-    read_ranges,
-    row_ranges,
-    write_arrays,
-    write_json,
-    write_runs,
-)
+from .octree import Cell, Cube, cube_of_cell
+from .runs import Batch, Index, read_index, read_ranges, row_ranges, write_runs
 from .subtree import Subtree, build_subtree
 
 
@@ -206,11 +197,6 @@ def points_in(folder: Path, low: np.ndarray, high: np.ndarray, names: list[str],
             parts += read_ranges(index.path, ranges, names, bright)
     columns = {name: np.concatenate([p.columns[name] for p in parts]) for name in (names if parts else ())}
     return Batch(np.concatenate([p.position for p in parts]) if parts else np.empty((0, 3)), columns)
-
-
-def cube_of_cell(cube: Cube, cell: Cell) -> tuple[np.ndarray, float]:
-    edge = cube.edge / 2.0**cell.level
-    return np.array(cube.low) + edge * np.array(place_of(cell.code, cell.level)), edge
 
 
 def _chunk(folder: Path, work: Work) -> dict[str, Any]:

@@ -11,11 +11,12 @@ from ....core.lod.balls.tree import saturation
 from ..pages import Layout, encode_normal, encode_position, grid_of, pack
 from ..psh import LEAF, PAGE, WIDE
 from .nodes import FINEST, MOST, Elements, elements_of_points, joined, merged, pack_nodes
-from .runs import Batch, cell_codes, sorted_codes
+from .octree import cell_codes, sorted_codes
+from .runs import Batch
 
 EVERY = 32  # of so many points one is asked for its nearest neighbour
 WINDOW = 10  # points on either side in Morton order among which it is looked for
-SAMPLE = 1 << 15  # points that tell how evenly a chunk is sampled
+LOOKED_AT = 512  # points that tell how evenly a chunk is sampled
 
 
 @dataclass
@@ -47,8 +48,7 @@ def build_subtree(layout: Layout, points: Batch, low: np.ndarray, edge: float) -
     columns = {name: np.take(column, order, axis=0) for name, column in points.columns.items()}
     root = _split(code)
     spacing = _spacings(position, root)
-    part = position[:, :: max(1, position.shape[1] // SAMPLE)] if position.shape[1] < SAMPLE else position[:, :SAMPLE]
-    even = saturation(np.ascontiguousarray((part - part[:, :1]).T, np.float32))
+    even = saturation((position - low[:, None]).T.astype(np.float32), LOOKED_AT)
     build = _Build(layout, position, columns, code, spacing, low, edge, even)
     top = build.page(root, -1)
     return Subtree(np.array(build.pages, PAGE), build.blobs, top, even)
@@ -66,9 +66,8 @@ def _split(code: np.ndarray) -> _Cell:
             octant = code[cell.first : cell.stop] >> np.uint64(3 * (FINEST - cell.level))
             ends = cell.first + np.r_[0, 1 + np.flatnonzero(octant[1:] != octant[:-1]), len(octant)]
             if len(ends) > 2:
-                cell.children = [
-                    _Cell(cell.level, a, b) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)
-                ]
+                within = zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)
+                cell.children = [_Cell(cell.level, a, b) for a, b in within]
                 cell.level -= 1
                 waiting += cell.children
     return root

@@ -91,7 +91,7 @@ class Dask:
         from distributed import as_completed
 
         left = list(reversed(works))
-        numbers: dict[str, int] = {}
+        numbers: dict[Any, int] = {}
         done = as_completed()
 
         def hand_out() -> None:
