@@ -12,7 +12,9 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+import numpy as np
 
 from ..core.scene.scene import PageLook
 from .page import Page
@@ -68,6 +70,7 @@ class PagePool:
         """`budget`: bytes. `threads`: 0 takes as many as there are processors, at most MOST_THREADS."""
         self.budget = budget
         self.arrivals = 0  # rises with each page, and with each file that was opened or has changed
+        self.view_before: np.ndarray | None = None  # (4, 4) view_from_world that a viewport showed last
         self.most_bytes = 0  # that were kept and set aside at any time
         self._threads = threads or min(max(os.cpu_count() or 1, 2), MOST_THREADS)
         self._kept: dict[PageKey, _Kept] = {}
@@ -155,6 +158,7 @@ class PagePool:
             self._asked.clear()
             self._looked.clear()
             self._bytes = 0
+            self.view_before = None
 
     # What threads do
 
@@ -268,6 +272,6 @@ class PagePool:
 POOL = PagePool()
 
 
-def wishes_of(scan: PagedScan, look: PageLook, pages: Any, gain: Any) -> list[Wish]:
+def wishes_of(scan: PagedScan, look: PageLook, pages: np.ndarray, gain: np.ndarray) -> list[Wish]:
     """Returns wishes of pages (K,) by what they add (K,), falling."""
     return [Wish(g, scan, look, p) for p, g in zip(pages.tolist(), gain.tolist(), strict=True)]

@@ -27,7 +27,7 @@ from .world import Mist, World
 class PageSplats(NamedTuple):
     """The splats of a page."""
 
-    cloud: PointCloud  # points have no radii: these depend on what else is drawn; of nodes, balls of their volume
+    cloud: PointCloud  # points have no radii: these depend on what else is drawn; nodes are balls as large as these
     shape: np.ndarray | None = None  # (N, 8) float32, core.lod.balls.tree.BallTree.shape: the splats are nodes
 
 

@@ -14,13 +14,17 @@ from ..scene.materials import MaterialTable
 from ..scene.scene import Geometry, Scene
 
 
-def with_pixel_radii(scene: Scene, camera: Camera) -> Scene:
-    """Returns the scene with the radii that clouds with a `pixel_radius` have in one view.
+def with_pixel_radii(scene: Scene, camera: Camera, of_pages: bool = False) -> Scene:
+    """Returns the scene with the radii that clouds with a `pixel_radius` have in one view: those of scans that are read
+    by pages where `of_pages`, else all others.
 
     Each instance then has a geometry of its own, unless they see the same radii. Pixels are those of the full frame of
     `camera`. Ellipses are limited to that radius; all other splats get it, and cast shadows of it.
     """
-    counted = np.array([g.cloud is not None and g.pixel_radius > 0 for g in scene.geometries], bool)
+    counted = np.array(
+        [g.cloud is not None and g.pixel_radius > 0 and (g.streamed is not None) == of_pages for g in scene.geometries],
+        bool,
+    )
     instances = scene.instances
     rows = np.flatnonzero(counted[instances.geometry]) if len(instances) else ()
     if len(rows) == 0:

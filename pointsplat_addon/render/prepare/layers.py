@@ -132,14 +132,13 @@ def with_ball_nodes(
     return replace(balls, cut=joined_cuts(drawn["balls"])), found
 
 
-def with_page_nodes(view: View, layer: Layer, nodes: Layer) -> tuple[Layer, Layer]:
+def with_page_nodes(layer: Layer, nodes: Layer) -> tuple[Layer, Layer]:
     """Returns the layer without the nodes that pages of scans hold, and the nodes of a view with them.
 
     Techniques other than the visibility buffer draw them as the balls that the layer has in their place.
     """
-    geometries = view.scene.geometries
-    mine = [key for key in layer.point_sets if key < len(geometries) and geometries[key].node_shape is not None]
-    if not mine or view.settings.technique != "VISIBILITY":
+    mine = [key for key, points in layer.point_sets.items() if points.shape is not None]
+    if not mine:
         return layer, nodes
     moved = np.isin(layer.set_of_instance[layer.cut.instance], mine)
     cuts = [
@@ -156,9 +155,9 @@ def with_page_nodes(view: View, layer: Layer, nodes: Layer) -> tuple[Layer, Laye
     )
     sets, of_instance = dict(nodes.point_sets), nodes.set_of_instance.copy()
     for key in mine:
-        points, shape = layer.point_sets[key], geometries[key].node_shape
+        points = layer.point_sets[key]
         bare = replace(points.cloud, share=None)
-        sets[key] = PointSet(Key(Kind.BALL_NODES, points.key), bare, shape=shape, balls=points)
+        sets[key] = replace(points, key=Key(Kind.BALL_NODES, points.key), cloud=bare, balls=points)
         of_instance[layer.set_of_instance == key] = key
     drawn = replace(cuts[1], nodes=cuts[1].points, points=0)
     return rest, Layer(sets, of_instance, joined_cuts([nodes.cut, drawn]))

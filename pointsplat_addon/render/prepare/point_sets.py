@@ -58,8 +58,10 @@ def coherent_with_foliage(cloud: PointCloud) -> PointCloud:
 
 def cloud_points(view: View, geometry: Geometry, cloud: PointCloud) -> PointSet:
     """Returns the point set of a geometry that is a cloud."""
-    if geometry.streamed is not None:  # pages are coherent, and what is drawn of them changes with the view
-        return PointSet(Key(Kind.CLOUD, geometry.key), cloud)
+    if geometry.streamed is not None or geometry.node_shape is not None:
+        # Pages are coherent, and what is drawn of them changes with the view.
+        shape = geometry.node_shape if view.settings.technique == "VISIBILITY" else None
+        return PointSet(Key(Kind.CLOUD, geometry.key), cloud, shape=shape)
     points = view.store.lookup(Key(Kind.COHERENT_POINTS, geometry.key), lambda: coherent_with_foliage(cloud))
     family = None
     if geometry.lattice:
@@ -81,7 +83,14 @@ def set_ball(points: PointSet, store: Store) -> tuple[np.ndarray, float, float]:
     All are in object space.
     """
     points = points.balls or points
-    return store.lookup(Key(Kind.BALL_AND_RADIUS, points.key), lambda: cloud_ball(points.cloud))
+
+    def measure() -> tuple[np.ndarray, float, float]:
+        middle, reach, radius = cloud_ball(points.cloud)
+        if points.shape is not None:  # no half-axis is longer than the root of the sum of their squares
+            radius = max(radius, float(np.sqrt(points.shape[:, [0, 3, 5]].sum(axis=1).max(initial=0.0))))
+        return middle, reach, radius
+
+    return store.lookup(Key(Kind.BALL_AND_RADIUS, points.key), measure)
 
 
 def typical_diameter(points: PointSet, view_from_object: np.ndarray, camera: Camera, store: Store) -> np.ndarray:

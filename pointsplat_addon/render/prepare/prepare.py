@@ -106,7 +106,7 @@ def prepare(
     of_others = np.where(np.isin(opaque.set_of_instance, list(trees)), -1, opaque.set_of_instance)
     layer = cut_layer(view, others, of_others, view_from_object, "SHARP", drawn.ranges)
     layer, nodes = with_ball_nodes(view, layer, trees, opaque.set_of_instance, view_from_object)
-    layer, nodes = with_page_nodes(view, layer, nodes)
+    layer, nodes = with_page_nodes(layer, nodes)
     behind = cut_layer(view, drawn.translucent.sets, drawn.translucent.set_of_instance, view_from_object, "ALL", {})
     balls = drawn.spheres
     return Prepared(

@@ -17,6 +17,7 @@ from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud
 from ...core.scene.scene import Geometry, Scene, StreamedScan
 from ...core.scene.settings import Settings
+from ...core.splat.pixel_radii import with_pixel_radii
 from ...stream.cut import CutSplats, cut_pages, splats_of_cut
 from ...stream.need import Need, needed_pages
 from ...stream.pool import PICTURE, POOL, VIEWPORT, PagePool, Wish, wishes_of
@@ -95,7 +96,8 @@ def with_pages(
     wishes = sorted(
         (wish for scan, need in zip(scans, needs, strict=True) for wish in _wishes(scan, need)), key=lambda w: -w.gain
     )
-    fitting = pool.want(view, wishes)
+    spare = _coming(scans, camera, settings.tolerance, pool, wishes) if interactive else []
+    fitting = pool.want(view, wishes, spare)
     if not interactive:
         for _ in range(ROUNDS):  # how much memory pages take is known when the first are there
             _wait(pool, lambda: pool.is_busy(view), check, warnings)
@@ -130,7 +132,8 @@ def with_pages(
     found = Streamed(
         len(wishes), drawn, points, pages, size, pool.is_busy(view), arrivals, tuple(dict.fromkeys(warnings))
     )
-    return replace(scene, geometries=tuple(geometries), instances=instances), found
+    scene = replace(scene, geometries=tuple(geometries), instances=instances)
+    return with_pixel_radii(scene, camera, of_pages=True), found
 
 
 def _scans(scene: Scene, camera: Camera) -> list[_Scan]:
@@ -167,6 +170,21 @@ def _need(scan: _Scan, camera: Camera, tolerance: float) -> Need:
     if tree is None or len(scan.view_from_object) == 0:
         return Need(np.empty(0, np.int64), np.empty(0))
     return needed_pages(tree, scan.view_from_object, camera, tolerance)
+
+
+def _coming(scans: list[_Scan], camera: Camera, tolerance: float, pool: PagePool, wishes: list[Wish]) -> list[Wish]:
+    """Pages that a viewport will need where it moves on as it did since its last picture, and does not need yet."""
+    before, now = pool.view_before, camera.view_from_world
+    pool.view_before = now
+    if before is None or np.array_equal(before, now):
+        return []
+    moved = now @ np.linalg.inv(before)
+    known = {wish.key for wish in wishes}
+    found = []
+    for scan in scans:
+        later = replace(scan, view_from_object=moved @ scan.view_from_object)
+        found += [wish for wish in _wishes(scan, _need(later, camera, tolerance)) if wish.key not in known]
+    return found
 
 
 def _wishes(scan: _Scan, need: Need) -> list[Wish]:

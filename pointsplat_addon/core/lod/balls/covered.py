@@ -12,7 +12,7 @@ OPAQUE = 1 / 512  # of a node that is stored as covered as a whole: what a byte 
 def node_shape(
     normal: np.ndarray, axis: np.ndarray, radii: np.ndarray, covered: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Returns BallTree.shape, (N, 8) float32, and the radii (N,) float32 of balls of the nodes' volumes.
+    """Returns BallTree.shape, (N, 8) float32, and the radii (N,) float32 of balls that look as large across the normal.
 
     `normal`, `axis` (N, 3): unit, directions of the last and the first of the half-axes `radii` (N, 3); `covered` (N,):
     how much of the ellipse across the normal is covered. Nodes whose balls have the areas t, over that of the ellipse,
@@ -32,4 +32,4 @@ def node_shape(
     areas = (np.sqrt(1 + 4 * MOST_SATURATION * depth) - 1) / (2 * MOST_SATURATION)
     shape[:, 6] = np.pi * areas * radii[:, 0] * radii[:, 1]
     shape[:, 7] = MOST_SATURATION
-    return shape, np.cbrt(radii.prod(axis=1)).astype(np.float32)
+    return shape, np.sqrt(radii[:, 0] * radii[:, 1]).astype(np.float32)
