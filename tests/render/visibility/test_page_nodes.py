@@ -50,10 +50,11 @@ def test_nodes_cover_their_fraction_of_the_picture(fraction: float) -> None:
     place = (np.stack(np.meshgrid(*2 * [np.arange(CELLS) + 0.5]), axis=-1).reshape(-1, 2) - CELLS / 2) * step
     position = np.column_stack([place[:, 0], np.zeros(len(place)), place[:, 1]]).astype(np.float32)
     count = len(position)
-    ones = np.ones((count, 1), np.float32)
-    normal, axis, radii = ones * [0, -1, 0], ones * [1, 0, 0], ones * [3.5, 2.5, 0.5]
+    normal, axis, radii = (
+        np.tile(np.array(one, np.float32), (count, 1)) for one in ([0, -1, 0], [1, 0, 0], [3.5, 2.5, 0.5])
+    )
     covered = np.full(count, fraction, np.float32)
-    shape, radius = node_shape(*(a.astype(np.float32) for a in (normal, axis, radii)), covered)
+    shape, radius = node_shape(normal, axis, radii, covered)
     cloud = PointCloud(position, radii=radius[:, None], share=covered)
     geometry = Geometry(f"nodes {fraction}", "Nodes", cloud=cloud, node_shape=shape)
     scene = build.scene((geometry, np.eye(4)), world=World(np.zeros(3)), transparent=True)
