@@ -76,10 +76,13 @@ def coverage(pages: PshPages, which: list[int], axis: int, samples: np.ndarray) 
     for page in which:
         found = pages.read(page)
         matrix, share = _silhouettes(pages, page, found, plane)
-        away = at[:, None] - found["position"][:, plane]
-        inverse = np.linalg.inv(matrix)
-        inside = np.einsum("snc,ncd,snd->sn", away, inverse, away, optimize=True) <= 1
-        clear *= np.where(inside, 1 - share, 1).prod(axis=1)
+        position, half = found["position"][:, plane], np.sqrt(matrix[:, [0, 1], [0, 1]])
+        near = (at >= (position - half).min(axis=0)) & (at <= (position + half).max(axis=0))
+        near = np.flatnonzero(near.all(axis=1))
+        x, y = np.moveaxis(at[near, None] - position, 2, 0)
+        [[xx, xy], [_, yy]] = np.moveaxis(np.linalg.inv(matrix), 0, 2)
+        inside = x * x * xx + 2 * x * y * xy + y * y * yy <= 1
+        clear[near] *= np.where(inside, 1 - share, 1).prod(axis=1)
     return float(1 - clear.mean())
 
 
