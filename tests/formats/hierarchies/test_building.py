@@ -228,6 +228,28 @@ def test_processes_build_the_same_bytes(tmp_path):
     assert (tmp_path / "1.psh").read_bytes() == (tmp_path / "2.psh").read_bytes()
 
 
+def test_workers_of_dask_build_the_same_bytes(tmp_path):
+    distributed = pytest.importorskip("distributed", reason="Dask is optional")
+    files, _, _ = two_tiles(tmp_path)
+    built(files, tmp_path / "alone.psh", normals=True)
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        built(files, tmp_path / "dask.psh", normals=True, scheduler=cluster.scheduler_address)
+        with pytest.raises(PointFileError, match=r"^broken\.las: "):
+            (tmp_path / "broken.las").write_bytes(files[0].read_bytes()[:2000])
+            built([tmp_path / "broken.las"], tmp_path / "b.psh", scheduler=cluster.scheduler_address)
+    assert (tmp_path / "alone.psh").read_bytes() == (tmp_path / "dask.psh").read_bytes()
+
+
+def test_a_damaged_input_is_told_by_processes_too(tmp_path):
+    files, _, _ = two_tiles(tmp_path)
+    content = bytearray(files[1].read_bytes())
+    content[-3000:] = bytes(3000)
+    files[1].write_bytes(content)
+    with pytest.raises(PointFileError, match=r"^tile1\.laz: "):
+        built(files, tmp_path / "a.psh", workers=2)
+    assert not (tmp_path / "a.psh").exists()
+
+
 def test_a_full_disk_leaves_no_file_and_the_build_goes_on_afterwards(tmp_path, monkeypatch):
     small_pages(monkeypatch)
     files, _, _ = two_tiles(tmp_path)
