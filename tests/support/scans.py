@@ -76,10 +76,13 @@ def coverage(pages: PshPages, which: list[int], axis: int, samples: np.ndarray) 
     for page in which:
         found = pages.read(page)
         matrix, share = _silhouettes(pages, page, found, plane)
-        away = at[:, None] - found["position"][:, plane]
-        inverse = np.linalg.inv(matrix)
-        inside = np.einsum("snc,ncd,snd->sn", away, inverse, away, optimize=True) <= 1
-        clear *= np.where(inside, 1 - share, 1).prod(axis=1)
+        position, half = found["position"][:, plane], np.sqrt(matrix[:, [0, 1], [0, 1]])
+        near = (at >= (position - half).min(axis=0)) & (at <= (position + half).max(axis=0))
+        near = np.flatnonzero(near.all(axis=1))
+        x, y = np.moveaxis(at[near, None] - position, 2, 0)
+        [[xx, xy], [_, yy]] = np.moveaxis(matrix, 0, 2)
+        inside = x * x * yy - 2 * x * y * xy + y * y * xx <= xx * yy - xy * xy
+        clear[near] *= np.where(inside, 1 - share, 1).prod(axis=1)
     return float(1 - clear.mean())
 
 
@@ -95,5 +98,6 @@ def _silhouettes(pages: PshPages, page: int, found: dict, plane: list[int]) -> t
     matrix = (frame @ frame.transpose(0, 2, 1))[:, plane][:, :, plane]
     depth = -np.log(np.clip(1 - found["covered"], 1 / 512, 1))
     areas = (np.sqrt(1 + 4 * MOST_SATURATION * depth) - 1) / (2 * MOST_SATURATION)
-    seen = areas * radii[:, 0] * radii[:, 1] / np.sqrt(np.linalg.det(matrix))
+    silhouette = np.sqrt(matrix[:, 0, 0] * matrix[:, 1, 1] - matrix[:, 0, 1] ** 2)
+    seen = areas * radii[:, 0] * radii[:, 1] / silhouette
     return matrix, 1 - np.exp(-seen * (1 + MOST_SATURATION * seen))

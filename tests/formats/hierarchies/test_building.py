@@ -12,14 +12,18 @@ import pytest
 from pointsplat_addon.core.material.color_models import linear_from_srgb
 from pointsplat_addon.formats.hierarchies.building import build as building
 from pointsplat_addon.formats.hierarchies.building import files as building_files
-from pointsplat_addon.formats.hierarchies.building import inputs, steps
+from pointsplat_addon.formats.hierarchies.building import inputs, nodes
 from pointsplat_addon.formats.hierarchies.building.workers import Alone
+from pointsplat_addon.formats.hierarchies.pages import Layout
 from pointsplat_addon.formats.hierarchies.psh import PshPages
 from pointsplat_addon.formats.points.reader import PointFileError
 from tests.support.scan_files import write_ply
 from tests.support.scans import FAR, built, coverage, cut, leaves, small_pages, write_las
 
 pytest.importorskip("laspy", reason="it comes with the extension")
+
+
+PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 def hills(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -35,10 +39,9 @@ def two_tiles(folder: Path) -> tuple[list[Path], np.ndarray, np.ndarray]:
     """Two files that overlap, and all their points."""
     parts = [hills(5000), hills(3000, 1)]
     files = [folder / f"tile{i}.laz" for i in range(2)]
-    for file, (position, color) in zip(files, parts, strict=True):
-        write_las(
-            file, position, color, intensity=np.arange(len(position)), classification=position[:, 0] > FAR[0] + 50
-        )
+    for file, first, (position, color) in zip(files, (0, 5000), parts, strict=True):
+        number = first + np.arange(len(position))
+        write_las(file, position, color, intensity=number, classification=position[:, 0] > FAR[0] + 50)
     return files, *(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
 
 
@@ -50,10 +53,6 @@ def points_of(pages: PshPages) -> dict[str, np.ndarray]:
     return found
 
 
-def in_order(position: np.ndarray) -> np.ndarray:
-    return np.lexsort(np.round(position, 2).T)
-
-
 def test_leaves_hold_all_points(tmp_path, monkeypatch):
     small_pages(monkeypatch)
     files, position, color = two_tiles(tmp_path)
@@ -62,20 +61,12 @@ def test_leaves_hold_all_points(tmp_path, monkeypatch):
         found = points_of(pages)
         assert made.points == pages.directory.points == len(found["position"]) == 8000
         assert pages.directory.count[leaves(pages)].max() <= 256
-        intensity = np.concatenate([np.arange(5000), np.arange(3000)])
-        # x and y tell nearly all points apart, and intensity the rest.
-        mine, theirs = (
-            np.lexsort((i, *np.round(p[:, :2], 2).T))
-            for p, i in ((found["position"], found["intensity"]), (position, intensity))
-        )
-        away = np.abs(found["position"][mine] - position[theirs])
-        same = away.max(axis=1) < 0.01
-        assert same.mean() > 0.99  # others changed places, as they were rounded to other hundredths
+        order = np.argsort(found["intensity"])  # the points' numbers
+        assert (found["intensity"][order] == np.arange(8000)).all()
         # Half a step of 16 bits of a page of 25 units, and of float32 50 units from the origin.
-        assert away[same].max() < 3e-4  # measured 1.9e-4
-        np.testing.assert_allclose(found["color"][mine][same], linear_from_srgb(color[theirs][same] / 65535), atol=1e-6)
-        assert (found["intensity"][mine][same] == intensity[theirs][same]).all()
-        assert (found["classification"] == (found["position"][:, 0] > FAR[0] + 50)).mean() > 0.999
+        assert np.abs(found["position"][order] - position).max() < 3e-4  # measured 1.9e-4
+        np.testing.assert_allclose(found["color"][order], linear_from_srgb(color / 65535), atol=1e-6)
+        assert (found["classification"][order] == (position[:, 0] > FAR[0] + 50)).all()
 
 
 def test_pages_make_an_octree_of_what_they_bound(tmp_path, monkeypatch):
@@ -103,9 +94,9 @@ def test_pages_make_an_octree_of_what_they_bound(tmp_path, monkeypatch):
             assert (held <= high + 1e-4).all()
 
 
-@pytest.mark.parametrize(("shape", "most"), [("plane", 0.03), ("grid", 0.04), ("sphere", 0.06), ("clumps", 0.17)])
+@pytest.mark.parametrize(("shape", "most"), [("plane", 0.03), ("grid", 0.06), ("sphere", 0.12), ("clumps", 0.16)])
 def test_each_level_covers_as_much_as_the_points(tmp_path, monkeypatch, shape, most):
-    """As balls of half their spacing. Relative error measured: 0.013, 0.029, 0.044, 0.12."""
+    """As balls of half their spacing. Relative errors measured: 0.022, 0.048, 0.101, 0.138."""
     small_pages(monkeypatch)
     random = np.random.default_rng(1)
     position = {
@@ -116,7 +107,7 @@ def test_each_level_covers_as_much_as_the_points(tmp_path, monkeypatch, shape, m
     }[shape]()
     write_las(tmp_path / "a.las", position, np.full((len(position), 3), 30000, np.uint16))
     built([tmp_path / "a.las"], tmp_path / "a.psh")
-    samples = random.random((20_000, 2))
+    samples = random.random((10_000, 2))
     with PshPages(tmp_path / "a.psh") as pages:
         levels = range(int(pages.directory.level.max()), -1, -1)
         share = [coverage(pages, cut(pages, level), 2, samples) for level in levels]
@@ -131,7 +122,7 @@ def test_each_level_has_the_mean_of_the_colours_and_of_the_attributes(tmp_path, 
     with PshPages(tmp_path / "a.psh") as pages:
 
         def means(level: int) -> np.ndarray:
-            """By the areas of the balls, of which nodes tell what is covered."""
+            """By the areas of the balls, as far as what is covered tells them."""
             total, sums = 0.0, np.zeros(4)
             for page in cut(pages, level):
                 found = pages.read(page)
@@ -141,12 +132,38 @@ def test_each_level_has_the_mean_of_the_colours_and_of_the_attributes(tmp_path, 
                 else:
                     area = np.full(len(found["position"]), (pages.directory.spacing[page] / 2) ** 2)
                 total += area.sum()
-                sums += area @ np.column_stack([found["color"], found["intensity"] / 5000])
+                sums += area @ np.column_stack([found["color"], found["intensity"] / 8000])
             return sums / total
 
         levels = range(int(pages.directory.level.max()), -1, -1)
         truth, *others = (means(level) for level in levels)
-        np.testing.assert_allclose(others, np.tile(truth, (len(others), 1)), rtol=0.01)  # measured 0.0049
+        np.testing.assert_allclose(others, np.tile(truth, (len(others), 1)), rtol=0.035)  # measured 0.025
+
+
+def test_merging_keeps_sums():
+    random = np.random.default_rng(0)
+    layout = Layout(color=True, normal=True, attributes=(("intensity", "<u2"),))
+    position = random.random((3, 5000)) * 100 + np.array(FAR)[:, None]
+    columns = {
+        "color": random.integers(256, size=(5000, 3), dtype=np.uint8),
+        "normal": random.normal(size=(5000, 3)),
+        "intensity": random.integers(60000, size=5000),
+    }
+    points = nodes.elements_of_points(layout, position, columns, 0.5)
+    merged, edge = nodes.merged(points, np.array(FAR), 100.0)
+    again, wider = nodes.merged(merged, np.array(FAR), 100.0)
+    assert wider >= 2 * edge
+
+    def sums(rows: np.ndarray) -> np.ndarray:
+        """Weight, weighted means, and the second moments about the mean of all."""
+        mean = rows[1:] @ rows[0] / rows[0].sum()
+        away = rows[1:4] - mean[:3, None]
+        second = [rows[0] @ (rows[4 + k] + away[i] * away[j]) for k, (i, j) in enumerate(PAIRS)]
+        return np.array([rows[0].sum(), *mean[:3], *mean[9:], *second])
+
+    for some in (merged, again):
+        assert some.rows.shape[1] < 0.35 * points.rows.shape[1]
+        np.testing.assert_allclose(sums(some.rows), sums(points.rows), rtol=1e-9)
 
 
 def test_normals_are_those_of_the_surface_across_chunks(tmp_path, monkeypatch):
@@ -172,7 +189,7 @@ def test_normals_are_those_of_the_surface_across_chunks(tmp_path, monkeypatch):
 
 
 class Stopping(Alone):
-    """Does so many steps, and is interrupted then; after the step, before its result is known."""
+    """Does so many steps, and is interrupted after the next one, before its result is known."""
 
     left = 0
 
@@ -193,7 +210,7 @@ def test_builds_that_are_stopped_go_on_to_the_same_bytes(tmp_path, monkeypatch):
     monkeypatch.setattr(building, "workers_of", lambda count, scheduler: Stopping())
     output, tries = tmp_path / "a.psh", 0
     for tries in range(1, 100):
-        Stopping.left = tries % 3
+        Stopping.left = tries  # with those that are there already
         try:
             built(files, output, normals=True)
             break
@@ -209,6 +226,28 @@ def test_processes_build_the_same_bytes(tmp_path):
     for workers in (1, 2):
         built(files, tmp_path / f"{workers}.psh", workers=workers)
     assert (tmp_path / "1.psh").read_bytes() == (tmp_path / "2.psh").read_bytes()
+
+
+def test_workers_of_dask_build_the_same_bytes(tmp_path):
+    distributed = pytest.importorskip("distributed", reason="Dask is optional")
+    files, _, _ = two_tiles(tmp_path)
+    built(files, tmp_path / "alone.psh", normals=True)
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        built(files, tmp_path / "dask.psh", normals=True, scheduler=cluster.scheduler_address)
+        with pytest.raises(PointFileError, match=r"^broken\.las: "):
+            (tmp_path / "broken.las").write_bytes(files[0].read_bytes()[:2000])
+            built([tmp_path / "broken.las"], tmp_path / "b.psh", scheduler=cluster.scheduler_address)
+    assert (tmp_path / "alone.psh").read_bytes() == (tmp_path / "dask.psh").read_bytes()
+
+
+def test_a_damaged_input_is_told_by_processes_too(tmp_path):
+    files, _, _ = two_tiles(tmp_path)
+    content = bytearray(files[1].read_bytes())
+    content[-3000:] = bytes(3000)
+    files[1].write_bytes(content)
+    with pytest.raises(PointFileError, match=r"^tile1\.laz: "):
+        built(files, tmp_path / "a.psh", workers=2)
+    assert not (tmp_path / "a.psh").exists()
 
 
 def test_a_full_disk_leaves_no_file_and_the_build_goes_on_afterwards(tmp_path, monkeypatch):
@@ -250,7 +289,7 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path):
 @pytest.mark.parametrize("moment", ["before", "while"])
 def test_a_file_that_changes_is_refused(tmp_path, monkeypatch, moment):
     files, _, _ = two_tiles(tmp_path)
-    opened, measured = steps.read_part, inputs.Input.has_changed
+    measured = inputs.Input.has_changed
     seen = []
 
     def changed(one):
@@ -260,7 +299,6 @@ def test_a_file_that_changes_is_refused(tmp_path, monkeypatch, moment):
         return measured(one)
 
     monkeypatch.setattr(inputs.Input, "has_changed", changed)
-    assert steps.read_part is opened
     with pytest.raises(PointFileError, match=r"^tile0\.laz: .*change"):
         built(files, tmp_path / "a.psh")
     assert not (tmp_path / "a.psh").exists()
@@ -327,6 +365,18 @@ def test_headers_that_know_no_bounds_or_wrong_ones(tmp_path, monkeypatch):
             np.testing.assert_allclose(one.directory.bounds, other.directory.bounds, atol=1e-6)
             for mine, theirs in zip(points_of(one).values(), points_of(other).values(), strict=True):
                 np.testing.assert_allclose(np.sort(mine, axis=0), np.sort(theirs, axis=0), atol=1e-3)
+
+
+def test_points_that_are_crowded_are_sorted_by_finer_cells(tmp_path, monkeypatch):
+    small_pages(monkeypatch)
+    monkeypatch.setattr(building, "CHUNK", 3000)
+    random = np.random.default_rng(0)
+    position = np.concatenate([random.random((8000, 3)) * 0.5, [[20_000.0, 0, 0]]])
+    write_las(tmp_path / "a.las", position)
+    built([tmp_path / "a.las"], tmp_path / "a.psh")
+    with PshPages(tmp_path / "a.psh") as pages:
+        assert pages.directory.points == 8001
+        assert pages.directory.count.max() <= 256
 
 
 def test_points_that_are_not_finite_are_left_out_and_no_points_are_refused(tmp_path):

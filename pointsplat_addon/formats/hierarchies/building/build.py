@@ -25,11 +25,11 @@ from ....core.numeric.record import record, value_record
 from ...points.reader import PointFileError, origin_of
 from ..pages import Layout
 from ..psh import VERSION
-from .cells import chunks_of, groups_of
+from .cells import CHUNK, chunks_of, groups_of
 from .files import write_json
 from .inputs import ATTRIBUTES, Input, inputs_of, tasks_of, warnings_of
 from .join import join
-from .octree import Cell, Cube, cube_of
+from .octree import DEEPEST, DEPTH, Cell, cube_of
 from .runs import merged_cells, run_path
 from .steps import Plan, Work, indices_of, plan_facts, read_cube
 from .workers import Progress, Workers, default_count, workers_of
@@ -116,13 +116,13 @@ class _Build:
         self.warnings = warnings_of(plan.inputs)
 
     def run(self, output: Path) -> Built:
-        cube = self._cube()
-        sorted_ = self._sorted(cube)
+        self._cube()
+        sorted_ = self._sorted()
         points = sum(s["points"] for s in sorted_)
         if points == 0:
             raise PointFileError(Path(self.plan.inputs[0].path), "has no points")
-        cube = read_cube(self.folder)
         groups, bounds = self._groups(sorted_)
+        cube = read_cube(self.folder)
         self._steps("chunk", range(len(groups)), "Pages")
         for run in self.folder.glob("*.run"):
             run.unlink()
@@ -144,8 +144,8 @@ class _Build:
             self.progress(stage, len(found) / len(numbers))
         return [found[number] for number in numbers]
 
-    def _cube(self) -> Cube:
-        """The cube of the root, as far as headers tell, or as it was measured."""
+    def _cube(self) -> None:
+        """Writes the cube of the root, as far as headers tell, or as it was measured."""
         path, better = self.folder / "cube.json", self.folder / "cube.next"
         if better.exists():
             self._sort_again(better)
@@ -160,25 +160,38 @@ class _Build:
                 measured = self._steps("measure", unknown, "Bounds")
                 boxes += [np.array(m["bounds"]) for m in measured if m["bounds"] is not None]
             self._write_cube(path, boxes or [np.zeros((2, 3))])
-        return read_cube(self.folder)
 
-    def _write_cube(self, path: Path, boxes: Sequence[np.ndarray]) -> None:
+    def _write_cube(self, path: Path, boxes: Sequence[np.ndarray], depth: int = DEPTH) -> None:
         cube = cube_of(np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0))
-        write_json(path, [list(cube.low), cube.edge])
+        write_json(path, [list(cube.low), cube.edge, depth])
 
-    def _sorted(self, cube: Cube) -> list[dict[str, Any]]:
-        """What is said of the tasks' runs. Where many points lie outside of the cube, headers were wrong: all is done
-        again with the cube of the points."""
-        numbers = range(len(self.plan.tasks))
-        found = self._steps("sort", numbers, "Points")
+    def _sorted(self) -> list[dict[str, Any]]:
+        """What is said of the tasks' runs. Where many points lie outside of the cube, or too many in one of its cells,
+        all is done again with the cube of the points and finer cells."""
+        found = self._steps("sort", range(len(self.plan.tasks)), "Points")
         points = sum(s["points"] for s in found)
-        if sum(s["outside"] for s in found) > OUTSIDE * points:
+        outside = sum(s["outside"] for s in found) > OUTSIDE * points
+        if outside:
             self.warnings.append("Many points lie outside of the bounds that headers name; they are read once more")
+        depth = read_cube(self.folder).depth
+        if points and (outside or (depth == DEPTH and self._is_crowded(found))):
             better = self.folder / "cube.next"
-            self._write_cube(better, [np.array(s["bounds"]) for s in found if s["bounds"] is not None])
+            boxes = [np.array(s["bounds"]) for s in found if s["bounds"] is not None]
+            self._write_cube(better, boxes, DEPTH if outside else DEEPEST)
             self._sort_again(better)
-            found = self._steps("sort", numbers, "Points")
+            return self._sorted()
         return found
+
+    def _is_crowded(self, sorted_: list[dict[str, Any]]) -> bool:
+        """Tells whether a cell of the finest level has more points than a chunk should."""
+        if (self.folder / "chunks.json").exists():
+            return False
+        self._write_runs(sorted_)
+        return bool((merged_cells(indices_of(self.folder))[1] > CHUNK).any())
+
+    def _write_runs(self, sorted_: list[dict[str, Any]]) -> None:
+        names = [run_path(self.folder, f"sort-{i}", k).name for i, s in enumerate(sorted_) for k in range(s["runs"])]
+        write_json(self.folder / "runs.json", names)
 
     def _sort_again(self, better: Path) -> None:
         """Forgets all runs, and then takes the cube that was measured."""
@@ -190,10 +203,9 @@ class _Build:
         """The chunks of each task, and the bounds of all points."""
         path = self.folder / "chunks.json"
         if not path.exists():
-            folder = self.folder
-            runs = [run_path(folder, f"sort-{i}", k).name for i, s in enumerate(sorted_) for k in range(s["runs"])]
-            write_json(folder / "runs.json", runs)
-            groups = groups_of(chunks_of(*merged_cells(indices_of(folder))))
+            self._write_runs(sorted_)
+            depth = read_cube(self.folder).depth
+            groups = groups_of(chunks_of(*merged_cells(indices_of(self.folder)), depth))
             bright = sorted({file for s in sorted_ for file in s["bright"]})
             boxes = np.array([s["bounds"] for s in sorted_ if s["bounds"] is not None])
             bounds = [boxes[:, 0].min(axis=0).tolist(), boxes[:, 1].max(axis=0).tolist()]

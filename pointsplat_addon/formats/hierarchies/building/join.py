@@ -15,7 +15,7 @@ from ..pages import Layout
 from ..psh import HEAD, PAGE, pack_directory, pack_head
 from .files import COPIED, Arrays, written
 from .nodes import Elements, joined, merged, pack_nodes
-from .octree import DEPTH, Cell, Cube, cube_of_cell
+from .octree import Cell, Cube, cube_of_cell
 from .subtree import page_entry
 
 
@@ -86,7 +86,7 @@ def join(
     layout. Raises OSError."""
     files = [folder / f"chunk-{i}.pages" for i in range(len(groups))]
     roots = [_Root(cell, i, j) for i, group in enumerate(groups) for j, cell in enumerate(group)]
-    roots.sort(key=lambda r: r.cell.range(DEPTH))
+    roots.sort(key=lambda r: r.cell.range(cube.depth))
     with (folder / "upper.part").open("w+b") as spool, written(output) as out:
         upper = _Upper(layout, cube, files, spool)
         upper.saturation = _mean_saturation(files, groups)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ....core.numeric.record import value_record
 
-DEPTH = 10  # levels of the octree whose cells tell ranges of runs apart
+DEPTH, DEEPEST = 10, 14  # levels of the octree whose cells tell ranges of runs apart; where points are crowded
 
 
 @value_record
@@ -18,6 +18,7 @@ class Cube:
 
     low: tuple[float, float, float]
     edge: float
+    depth: int = DEPTH  # level of the cells by which points are sorted
 
 
 def cube_of(low: np.ndarray, high: np.ndarray) -> Cube:
@@ -50,7 +51,10 @@ def cell_codes(position: np.ndarray, low: Sequence[float], edge: float, depth: i
 
 def sorted_codes(code: np.ndarray, bits: int) -> tuple[np.ndarray, np.ndarray]:
     """The order (N,) int64 of codes (N,) uint64, of which so many bits tell them apart, equal ones as they come, and
-    the codes in it. N < 2^(64 - bits)."""
+    the codes in it."""
+    if len(code) > 1 << (64 - bits):
+        order = np.argsort(code, kind="stable")
+        return order, code[order]
     # Each code with its number is one of a kind: any sort of values gives one order, and sorts of values are fast.
     room = np.uint64(64 - bits)
     key = (code << room) | np.arange(len(code), dtype=np.uint64)
@@ -66,7 +70,7 @@ class Cell:
     code: int  # in Morton order, at this level
     points: int
 
-    def range(self, depth: int = DEPTH) -> tuple[int, int]:
+    def range(self, depth: int) -> tuple[int, int]:
         """First code of the cells within at level `depth`, and the first one behind them."""
         shift = 3 * (depth - self.level)
         return self.code << shift, (self.code + 1) << shift

@@ -1,7 +1,7 @@
 """Sorts points by cells of an octree in runs that fit memory, each a file: an external merge sort, whose merging is
 left to those who read ranges of all runs.
 
-Cells are those of level DEPTH of a cube; within a run, points follow in Morton order of their cells. A run's index
+Cells are those of one level of a cube; within a run, points follow in Morton order of their cells. A run's index
 tells where each cell begins.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from ....core.numeric.record import record, value_record
 from .files import Arrays, write_arrays
 from .inputs import BATCH
-from .octree import DEPTH, Cube, cell_codes, sorted_codes
+from .octree import Cube, cell_codes, sorted_codes
 
 COARSEST = 2.0**-16  # units: steps of positions in runs, as integers of 32 bits; runs that are wider have float64
 
@@ -92,7 +92,7 @@ def _run(
     batch: Batch, columns: np.ndarray, low: np.ndarray, high: np.ndarray, cube: Cube
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """The arrays of a run, and what is said of them."""
-    order, code = sorted_codes(cell_codes(columns, cube.low, cube.edge, DEPTH), 3 * DEPTH)
+    order, code = sorted_codes(cell_codes(columns, cube.low, cube.edge, cube.depth), 3 * cube.depth)
     first = np.flatnonzero(np.r_[True, code[1:] != code[:-1]])
     extent = float((high - low).max())
     step = 2.0 ** np.ceil(np.log2(max(extent, 1e-300) / (2.0**32 - 2))) if extent > 0 else 1.0
@@ -103,7 +103,7 @@ def _run(
             position[:, axis] = (column - corner[axis]) * (1 / step) + 0.5
     else:
         corner, step, position = np.zeros(3), 1.0, batch.position
-    arrays = {"cell": code[first].astype(np.uint32), "first": first.astype(np.uint32)}
+    arrays = {"cell": code[first].astype(np.int64), "first": first.astype(np.uint32)}
     arrays["position"] = np.take(position, order, axis=0)
     arrays |= {name: np.take(column, order, axis=0) for name, column in batch.columns.items()}
     return arrays, {"points": len(order), "low": corner.tolist(), "step": step, "dark": batch.dark}
@@ -114,7 +114,7 @@ class Index:
     """Where the cells of some level of a cube's octree begin in a run."""
 
     path: str
-    cell: np.ndarray  # (C,) uint32, rising
+    cell: np.ndarray  # (C,) int64, rising
     first: np.ndarray  # (C + 1,) int64
 
     def ranges(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -129,8 +129,8 @@ def read_index(path: Path) -> Index:
 
 
 def merged_cells(indices: Iterable[Index]) -> tuple[np.ndarray, np.ndarray]:
-    """Cells (C,) uint32 of all runs, rising, and points in each (C,) int64."""
-    cell, count = np.empty(0, np.uint32), np.empty(0, np.int64)
+    """Cells (C,) int64 of all runs, rising, and points in each (C,) int64."""
+    cell, count = np.empty(0, np.int64), np.empty(0, np.int64)
     for index in indices:
         both = np.concatenate([cell, index.cell])
         order = np.argsort(both, kind="stable")

@@ -160,8 +160,8 @@ def _measure(folder: Path, work: Work) -> dict[str, Any]:
 
 
 def read_cube(folder: Path) -> Cube:
-    low, edge = json.loads((folder / "cube.json").read_text())
-    return Cube(tuple(low), edge)
+    low, edge, depth = json.loads((folder / "cube.json").read_text())
+    return Cube(tuple(low), edge, depth)
 
 
 def _sort(folder: Path, work: Work) -> dict[str, Any]:
@@ -189,7 +189,7 @@ def indices_of(folder: Path) -> tuple[Index, ...]:
 
 
 def points_in(folder: Path, low: np.ndarray, high: np.ndarray, names: list[str], bright: set[int]) -> Batch:
-    """All points of cells of level DEPTH in ranges of codes: from low (R,) to high, rising."""
+    """All points of cells in ranges of codes: from low (R,) to high, rising."""
     parts: list[Batch] = []
     for index in indices_of(folder):
         ranges = row_ranges(*index.ranges(low, high))
@@ -208,7 +208,7 @@ def _chunk(folder: Path, work: Work) -> dict[str, Any]:
     parts = []
     for level, code, count in facts["groups"][work.number]:
         cell = Cell(level, code, count)
-        first, stop = cell.range()
+        first, stop = cell.range(cube.depth)
         points = points_in(folder, np.array([first]), np.array([stop]), names, bright)
         if plan.layout.normal:
             points.columns["normal"] = _normals(folder, cell, cube, points)
@@ -222,7 +222,7 @@ def _normals(folder: Path, cell: Cell, cube: Cube, points: Batch) -> np.ndarray:
     from .normals import MARGIN, normals_of
 
     low, edge = cube_of_cell(cube, cell)
-    around = points_in(folder, *layer_around(cell), [], set())
+    around = points_in(folder, *layer_around(cell, cube.depth), [], set())
     # Chunks of some hundred thousand points are some hundred of them wide.
     width = MARGIN * edge / max(len(points.position), 1) ** 0.5
     near = ((around.position >= low - width) & (around.position <= low + edge + width)).all(axis=1)
