@@ -38,6 +38,7 @@ class Geometry:
     spacing: float = 0.0  # distance between samples in object units; 0 chooses
     lattice: str = ""  # clouds of equal keys and attributes have the same points and half-axes; "": no other does
     extinction: float = 0.0  # of this geometry's points, per object unit; 0 takes it from the material
+    lighting: str = "CAPTURED"  # of captured splats: one of LIGHTINGS
     pixel_radius: float = 0.0  # pixels: radius of a cloud's points in each view (splat/pixel_radii); 0: their own
 
 

@@ -117,11 +117,13 @@ class Frame:
                 plan,
                 motion,
                 frame_plan.shadows,
+                frame_plan.captured_shadows,
             )
         )
         self.clock.spent |= self.uploads.spent
-        if self.uploads.lighting.lacks_maps:
-            run("shadow maps", self.uploads.lighting.draw_maps)
+        for lighting in self.uploads.lightings:
+            if lighting.lacks_maps:
+                run("shadow maps", lighting.draw_maps)
         if plan.backdrop:
             self.backdrop = self._own(Backdrop(device, backdrop_grid(frame_plan.view, device.limits.texture_size)))
         count = levels(frame_plan.prepared.largest, frame_plan.view.resolution)
@@ -309,8 +311,9 @@ class Frame:
         """Lights translucent splats for the sample that is drawn, where they are not lit like that."""
         # All samples share the light of translucent splats, except with a lens or shadows of wide lights, whose points
         # are averaged over samples.
-        shadows = self.frame_plan.shadows
-        points = lighting_of_sample(self.frame_plan.request, self.done) if shadows is not None and shadows.wide else 0
+        shadows = self.frame_plan.shadows, *self.frame_plan.captured_shadows.values()
+        wide = any(one is not None and one.wide for one in shadows)
+        points = lighting_of_sample(self.frame_plan.request, self.done) if wide else 0
         if points != lit.lit_by or self.lens is not None:
             lit.light(points, self._centred())
 

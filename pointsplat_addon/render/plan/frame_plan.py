@@ -28,7 +28,7 @@ from ..passes.output.adaptive import why_everywhere
 from ..passes.outputs import CRYPTO
 from ..passes.shading.averages import averaged
 from ..passes.shading.data import data
-from ..prepare.captured import count_captured
+from ..prepare.captured import count_captured, lit_captured, without_captured_shadows
 from ..prepare.in_view import without_invisible_layers
 from ..prepare.meshes.parts import count_triangles
 from ..prepare.negligible import without_negligible
@@ -58,6 +58,7 @@ class FramePlan:
     technique: Technique
     prepared: Prepared
     shadows: Shadows | None
+    captured_shadows: dict[int, Shadows | None]  # that captured splats receive, by row of geometries
     plan: Plan
     view: Camera  # what is drawn: the window of request.camera with a margin
     corner: tuple[int, int]  # pixels: the corner of the camera's window in the view's
@@ -181,6 +182,7 @@ def make_frame_plan(
     scene, reflects, negligible = without_negligible(scene, prepared, camera.view_from_world, store)
     settings = replace(request.settings, technique=technique.name)
     shadows, unshadowed = _shadows(scene, prepared, replace(request, settings=settings), store, clock, limits)
+    captured_shadows = _captured_shadows(scene, prepared, settings, store, clock, limits)
     painter = technique.name == "PAINTER" and prepared.cut.splats > 0
     if painter:
         prepared = with_opaque_among_translucent(
@@ -210,8 +212,11 @@ def make_frame_plan(
         # Captured splats have the pixel filter in them.
         request = replace(request, samples=1)
     plan = make_plan(
-        ViewToPlan(scene, prepared, request, shadows, ewa, painter, reflects, picture, sub_samples, presented, absences)
-    )
+        ViewToPlan(
+            scene, prepared, request, shadows, captured_shadows, ewa, painter, reflects, picture, sub_samples, presented,
+            absences,
+        )
+    )  # fmt: skip
     some = _has_opaque(prepared) or prepared.out_of_focus is not None
     lacks_eye_dome = request.settings.use_eye_dome and picture and some and not plan.eye_dome
     radius = filter_reach(neighbourhood(request.settings)) if sub_samples else plan.splat_radius(prepared.largest)
@@ -222,6 +227,7 @@ def make_frame_plan(
         technique,
         prepared,
         shadows,
+        captured_shadows,
         plan,
         view,
         corner,
@@ -235,7 +241,9 @@ def make_frame_plan(
             *((technique.warning,) if technique.warning else ()),
             *((f"Eye-dome lighting is left out: {absences.eye_dome}",) if lacks_eye_dome else ()),
             *prepared.warnings,
-            *(shadows.warnings if shadows else ()),
+            *dict.fromkeys(
+                warning for one in (shadows, *captured_shadows.values()) if one is not None for warning in one.warnings
+            ),
         ),
     )
 
@@ -301,6 +309,20 @@ def _shadows(
     if found.tables is not None:
         clock.spent["shadows"] = 1000 * (time.perf_counter() - before)
     return found, ""
+
+
+def _captured_shadows(
+    scene: Scene, prepared: Prepared, settings: Settings, store: Store, clock: Clock, limits: Limits
+) -> dict[int, Shadows | None]:
+    """What casts shadows on captured splats, by row of geometries, of those that light changes."""
+    rows = lit_captured(scene, prepared.captured)
+    before, found = time.perf_counter(), {}
+    for row in rows:
+        casting = without_captured_shadows(scene, row)
+        found[row], _ = make_shadows(casting, settings, store, clock.check, limits.texture_size)
+    if any(one is not None and one.tables is not None for one in found.values()):
+        clock.spent["shadows"] = clock.spent.get("shadows", 0.0) + 1000 * (time.perf_counter() - before)
+    return found
 
 
 def neighbourhood(settings: Settings) -> float:

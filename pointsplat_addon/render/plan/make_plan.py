@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from ...core.scene.cloud import PointCloud
 from ...core.scene.scene import Scene
 from ...core.scene.strands import Strands
 from ...core.surface.appearance import graphs_of
+from ..passes.captured.project import CapturedLighting
 from ..passes.ewa.options import EwaOptions
 from ..passes.ewa.options import options as ewa_options
 from ..passes.gbuffer import Variant
@@ -39,6 +41,7 @@ class ViewToPlan:
     prepared: Prepared  # for the painter and for defocus, with the splats that they draw among the translucent ones
     request: Request
     shadows: Shadows | None  # None: no light casts any
+    captured_shadows: Mapping[int, Shadows | None]  # of those that captured splats receive, by row of geometries
     ewa: bool  # the technique of opaque points is EWA
     painter: bool  # the technique is the painter, and there are opaque points
     reflects: bool  # something that is drawn reflects light
@@ -108,6 +111,7 @@ def make_plan(view: ViewToPlan) -> Plan:
         presented=view.presented,
         eye_dome=_eye_dome(view, kinds),
         defocus=view.defocus,
+        captured_light=_captured_light(view),
         indirect=_indirect(view, kinds),
         backdrop=not view.absences.blurred_world,
         picture=view.picture,
@@ -313,6 +317,18 @@ def _translucent(view: ViewToPlan, kinds: _Kinds) -> TranslucentOptions | None:
         clouds, view.scene.materials, opaque, holdout, view.defocus, grouped, bool(captured),
         bool(view.prepared.captured_nodes),
     )  # fmt: skip
+
+
+def _captured_light(view: ViewToPlan) -> tuple[tuple[int, CapturedLighting], ...]:
+    """What light does to captured splats, by row of geometries, of those that it changes."""
+    scene = view.scene
+    if not view.picture:
+        return ()
+    lights = *_world(scene), *light_names(scene.lights, 1.0)
+    return tuple(
+        (row, CapturedLighting(scene.geometries[row].lighting, (*lights, *(() if one is None else _shadows(one)))))
+        for row, one in view.captured_shadows.items()
+    )
 
 
 def _coarse_translucent(view: ViewToPlan, translucent: TranslucentOptions | None) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ...core.lod.captured.cut import CapturedCut, cut_captured
@@ -37,6 +39,22 @@ def captured_instances(scene: Scene, usable: np.ndarray) -> tuple[int, ...]:
         if geometry.captured is not None and len(geometry.captured)
     )
     return tuple(row for rows in shown for row in rows)
+
+
+def lit_captured(scene: Scene, instances: tuple[int, ...]) -> tuple[int, ...]:
+    """Returns the rows of the geometries of these instances whose splats light changes."""
+    rows = dict.fromkeys(scene.instances.geometry[list(instances)].tolist())
+    return tuple(row for row in rows if scene.geometries[row].lighting != "CAPTURED")
+
+
+def without_captured_shadows(scene: Scene, row: int) -> Scene:
+    """Returns a scene whose shadows are those that fall on the captured splats of a geometry: captured light has those
+    of the capture itself."""
+    instances = scene.instances
+    casts = np.ones(len(instances), bool) if instances.casts is None else instances.casts.astype(bool)
+    if scene.geometries[row].lighting == "SHADOWED":
+        casts = casts & (instances.geometry != row)
+    return replace(scene, instances=replace(instances, casts=casts))
 
 
 def captured_nodes(view: View, instances: tuple[int, ...], view_from_object: np.ndarray) -> dict[int, CapturedNodes]:

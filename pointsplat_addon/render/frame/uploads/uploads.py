@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -37,13 +38,16 @@ class Uploads:
         plan: Plan,
         motion: bool = False,
         shadows: Shadows | None = None,
+        captured_shadows: Mapping[int, Shadows | None] | None = None,
     ) -> None:
-        """`motion`: a pass asks how instances move. DeviceError: a texture is too large, or memory is full."""
+        """`motion`: a pass asks how instances move. `captured_shadows`: of what casts onto captured splats, by geometry.
+        DeviceError: a texture is too large, or memory is full."""
         self.scene, self.camera, self.prepared = scene, camera, prepared
         self._middle = prepared.view_from_object
         self._scope = UploadScope(kept)
         self.translucent: TranslucentUploads | None = None
         self.captured: CapturedUploads | None = None
+        self._captured_lighting: dict[int, LightingUploads] = {}
         self.previous: Texture | None = None  # clip space a frame before from today's view space
         try:
             self.lighting = LightingUploads(self._scope, store, scene, plan, shadows)
@@ -51,7 +55,14 @@ class Uploads:
             self.polygons = PolygonUploads(self._scope, store, scene, prepared, plan, camera)
             self.strands = StrandUploads(self._scope, store, scene, prepared, plan)
             if plan.translucent is not None and plan.translucent.captured:
-                self.captured = CapturedUploads(self._scope, store, scene, camera, prepared, plan)
+                self._captured_lighting = {
+                    row: LightingUploads(
+                        self._scope, store, scene, replace(plan, lighting=light.names), (captured_shadows or {})[row]
+                    )
+                    for row, light in plan.captured_light
+                }
+                lighting = self._captured_lighting
+                self.captured = CapturedUploads(self._scope, store, scene, camera, prepared, plan, lighting)
             if plan.translucent is not None and not plan.translucent.alone:
                 self.translucent = TranslucentUploads(self._scope, scene, camera, prepared, plan, self.lighting)
             self._upload_view()
@@ -67,6 +78,11 @@ class Uploads:
     def shared(self) -> dict[str, Texture]:
         """What several passes of geometry read, by sampler name: the material table, and the instances of points."""
         return {**self.lighting.materials, **self.points.instances}
+
+    @property
+    def lightings(self) -> tuple[LightingUploads, ...]:
+        """What lights everything, and what lights captured splats."""
+        return self.lighting, *self._captured_lighting.values()
 
     @property
     def shading(self) -> dict[str, Texture]:
@@ -92,7 +108,8 @@ class Uploads:
         self.points.mark_moved()
 
     def _upload_view(self) -> None:
-        self.lighting.upload_view(self.camera)
+        for lighting in self.lightings:
+            lighting.upload_view(self.camera)
         self.points.upload_view(self.prepared)
         self.strands.upload_view(self.prepared)
         if self.translucent is not None:
