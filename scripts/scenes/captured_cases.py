@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pointsplat_addon.core.scene.captured import CapturedSplats
@@ -101,6 +103,21 @@ def captured_in_smoke() -> Case:
         ),
         camera(),
         Settings(use_shadows=False),
+    )
+
+
+def captured_lit() -> Case:
+    """A relit sphere of splats, and one that is shadowed by it and by a cube."""
+    relit = replace(captured("captured relit", captured_sphere(2000)), lighting="RELIT")
+    shadowed = replace(captured("captured shadowed", captured_sphere(2000)), lighting="SHADOWED")
+    return Case(
+        scene(
+            (relit, moved((-0.6, -0.3, 0.3), 0.6)),
+            (shadowed, moved((0.5, 0.4, -0.3), 0.8)),
+            (mesh(cube_mesh("cube over captured", 0.3), "POLYGONS"), moved((0.3, -0.5, 0.6))),
+        ),
+        camera(),
+        Settings(shadow_resolution=64),
     )
 
 

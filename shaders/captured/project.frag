@@ -106,11 +106,9 @@ void main()
   ps_spread = PsSpread(uint(index), PS_EVERY_POINT);
 #endif
 #ifdef PS_RELIT
-  float lift = PS_LIFT * sqrt(0.5 * (dot(a, a) + dot(b, b) + dot(c, c)));
-#else
-  const float lift = 0.0;
+  ps_lift = PS_LIFTS * sqrt(0.5 * (dot(a, a) + dot(b, b) + dot(c, c))) * facing;
 #endif
-  radiance *= ps_captured_light(p + lift * facing, facing, to_eye, u.light_count);
+  radiance *= ps_captured_light(p, facing, to_eye, u.light_count);
 #endif
   bool seen = d > u.near && d < u.far && opacity >= PS_LEAST_ALPHA && det < 1e30;
   out_centre = seen ? vec4(u.focal * p.xy * over, d, opacity) : vec4(0.0);

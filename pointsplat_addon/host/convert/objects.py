@@ -53,7 +53,8 @@ class Source:
     ribbons: bool = False  # strands have normals
     filters: Filters | None = None  # of points
     clip: Clip | None = None  # of points
-    antialiased: bool = False  # of captured splats
+    lighting: str = "CAPTURED"  # of captured splats
+    antialiased: bool = False  # of these
     motion: float = 0.0  # of points: seconds of a frame, where a pass asks how they move
 
     @property
@@ -175,6 +176,7 @@ def _make_source(
         smoke=read_domain(ob) if ob.type == "MESH" else None,
         ribbons=ob.type == "CURVES" and ob.pointsplat.ribbons,
         filters=filters_of(ob),
+        lighting=ob.pointsplat.lighting if ob.type == "POINTCLOUD" else "CAPTURED",
         antialiased=ob.type == "POINTCLOUD" and bool(ob.original.get(ANTIALIASED, False)),
         clip=clip,
     )

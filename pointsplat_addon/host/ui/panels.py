@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import bpy
 
 from ...render.passes.outputs import PASSES
+from ..convert.captured import is_captured
 from ..convert.mesh import is_loose_vertices
 from . import last_render
 
@@ -236,6 +237,10 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
             return
         if ob.type == "CURVES":
             layout.prop(ob.pointsplat, "ribbons")
+            self._visibility(ob, layout)
+            return
+        if ob.type == "POINTCLOUD" and is_captured(ob.data):
+            layout.prop(ob.pointsplat, "lighting")
             self._visibility(ob, layout)
             return
         is_points = ob.type == "POINTCLOUD" or (ob.type == "MESH" and is_loose_vertices(ob.data))

@@ -213,8 +213,8 @@ def make_frame_plan(
         request = replace(request, samples=1)
     plan = make_plan(
         ViewToPlan(
-            scene, prepared, request, shadows, captured_shadows, ewa, painter, reflects, picture, sub_samples, presented,
-            absences,
+            scene, prepared, request, shadows, captured_shadows, ewa, painter, reflects, picture, sub_samples,
+            presented, absences,
         )
     )  # fmt: skip
     some = _has_opaque(prepared) or prepared.out_of_focus is not None

@@ -5,9 +5,11 @@
 #ifdef PS_SHADOWED
 #define PS_ARRIVES
 #endif
+#ifdef PS_RELIT
+#define PS_LIFTS 2.0  // standard deviations: of a captured surface, splats lie so far above and below each other
+#endif
 #include "lib/light/lights.glsl"
 
-#define PS_LIFT 2.0  // standard deviations: receivers lie so far above their surface, in which others lie beside and below them
 
 vec3 ps_captured_light(vec3 position, vec3 normal, vec3 to_eye, int light_count)
 {

@@ -1,8 +1,9 @@
 """Normals of captured splats, which training does not know: those of the surfaces on which they lie.
 
 A flat splat lies in its surface, across its shortest axis (as in Guédon and Lepetit 2024, SuGaR). Round ones tell
-nothing, and those of flat ones are noisy: a normal is the principal axis of the sum of n nᵀ over a splat and its nearest
-neighbours, each weighted by its opacity and by how flat it is. Which side of a surface is the outside is not known.
+nothing, and those of flat ones are noisy: a normal is the principal axis of the sum of n nᵀ over a splat and its
+nearest neighbours, each weighted by its opacity and by how flat it is. Which side of a surface is the outside is not
+known.
 """
 
 from __future__ import annotations

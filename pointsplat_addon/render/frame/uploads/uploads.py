@@ -40,8 +40,8 @@ class Uploads:
         shadows: Shadows | None = None,
         captured_shadows: Mapping[int, Shadows | None] | None = None,
     ) -> None:
-        """`motion`: a pass asks how instances move. `captured_shadows`: of what casts onto captured splats, by geometry.
-        DeviceError: a texture is too large, or memory is full."""
+        """`motion`: a pass asks how instances move. `captured_shadows`: that captured splats receive, by
+        geometry. DeviceError: a texture is too large, or memory is full."""
         self.scene, self.camera, self.prepared = scene, camera, prepared
         self._middle = prepared.view_from_object
         self._scope = UploadScope(kept)
@@ -56,9 +56,7 @@ class Uploads:
             self.strands = StrandUploads(self._scope, store, scene, prepared, plan)
             if plan.translucent is not None and plan.translucent.captured:
                 self._captured_lighting = {
-                    row: LightingUploads(
-                        self._scope, store, scene, replace(plan, lighting=light.names), (captured_shadows or {})[row]
-                    )
+                    row: self._lighting_of_captured(store, scene, plan, light.names, (captured_shadows or {})[row])
                     for row, light in plan.captured_light
                 }
                 lighting = self._captured_lighting
@@ -73,6 +71,11 @@ class Uploads:
         except Exception:
             self.release()
             raise
+
+    def _lighting_of_captured(
+        self, store: Store, scene: Scene, plan: Plan, names: tuple[str, ...], shadows: Shadows | None
+    ) -> LightingUploads:
+        return LightingUploads(self._scope, store, scene, replace(plan, lighting=names), shadows, materials=False)
 
     @property
     def shared(self) -> dict[str, Texture]:

@@ -74,12 +74,14 @@ def project_program(
         "PS_SH_TEXELS": sh_texels, "PS_SH_SHIFT": sh_shift, "PS_SH_MASK": (1 << sh_shift) - 1,
         "PS_LOW_PASS": LOW_PASS, "PS_LEAST_ALPHA": LEAST_ALPHA,
     }  # fmt: skip
-    read = ("order", "views", "position", "rotation", "scale", "harmonics", *(("means",) if nodes else ()), *(("normal",) if light.lit else ()))
+    read = ("order", "views", "position", "rotation", "scale", "harmonics", *(("means",) if nodes else ()))
+    read += ("normal",) if light.lit else ()
     return Interface(
         "captured", fragment="captured/project.frag", block=_block(light),
         samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
         outputs=tuple(("vec4", f"out_{name}") for name in lit_outputs(options)),
-        defines=(*lighting_defines(lighting), *_taps(lighting), *((name, repr(value)) for name, value in constants.items()),
+        defines=(*lighting_defines(lighting), *_taps(lighting),
+                 *((name, repr(value)) for name, value in constants.items()),
                  *((name, "1") for name, on in named.items() if on)),
     )  # fmt: skip
 
