@@ -9,6 +9,7 @@
 #include "lib/captured/kind.glsl"
 #if defined(PS_SHADOWED) || defined(PS_RELIT)
 #include "lib/geometry/direction.glsl"
+#include "lib/light/lights.glsl"
 #include "lib/captured/lit.glsl"
 #endif
 
@@ -106,7 +107,7 @@ void main()
   ps_spread = PsSpread(uint(index), PS_EVERY_POINT);
 #endif
 #ifdef PS_RELIT
-  ps_lift = PS_LIFTS * sqrt(0.5 * (dot(a, a) + dot(b, b) + dot(c, c))) * facing;
+  ps_lift = PS_LIFT * sqrt(0.5 * (dot(a, a) + dot(b, b) + dot(c, c))) * facing;
 #endif
   radiance *= ps_captured_light(p, facing, to_eye, u.light_count);
 #endif
@@ -125,7 +126,7 @@ void main()
   vec2 together = deep.x * ua + deep.y * ub + deep.z * uc;
   vec2 gradient = vec2(wide.z * together.x - wide.y * together.y, wide.x * together.y - wide.y * together.x) / det;
   float variance = max(dot(deep, deep) - dot(gradient, together), 1e-10 * d * d);
-  out_front = vec4(sqrt(variance), gradient, 0.0);
+  out_front = vec4(sqrt(variance), gradient, sqrt(max(dot(a, a), max(dot(b, b), dot(c, c)))));
 #endif
 #ifdef PS_TINT
   out_tint = vec4(1.0);

@@ -326,6 +326,20 @@ def test_the_panel_shows_what_captured_splats_have(tmp_path):
     assert "lighting" not in drawn(bpy.context.object)
 
 
+def test_a_mesh_may_stand_for_captured_surfaces():
+    bpy.ops.mesh.primitive_cube_add()
+    ob = bpy.context.object
+    ob.data.materials.append(bpy.data.materials.new("Glass"))
+    assert sync().instances.matte is None
+    assert "is_matte" in drawn(ob)
+    ob.pointsplat.is_matte = True
+    ob.pointsplat.primitive = "POINTS"
+    scene = sync()
+    np.testing.assert_array_equal(scene.instances.matte, [True])
+    (geometry,) = scene.geometries
+    assert (geometry.primitive, geometry.mesh.materials) == ("POLYGONS", (0,))
+
+
 def drawn(ob) -> list[str]:
     """Names of the properties that the object panel shows."""
     found: list[str] = []

@@ -256,6 +256,8 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
             row = layout.row()
             row.active = ob.pointsplat.primitive != "POLYGONS"
             row.prop(ob.pointsplat, "spacing")
+            if ob.type == "MESH":
+                layout.prop(ob.pointsplat, "is_matte")
         if ob.type in WITH_EXTINCTION or len(ob.particle_systems):
             layout.prop(ob.pointsplat, "extinction")
         self._visibility(ob, layout)

@@ -118,6 +118,7 @@ class Frame:
                 motion,
                 frame_plan.shadows,
                 frame_plan.captured_shadows,
+                frame_plan.matte_shadows,
             )
         )
         self.clock.spent |= self.uploads.spent
@@ -300,7 +301,9 @@ class Frame:
         textures = gbuffer_textures(self.targets.data_surfels) if self.central is None else self.central.bound()
         if self.uploads.previous is not None:
             textures["ps_previous"] = self.uploads.previous
-        program = data.data_program(frame_plan.plan.data_variant, frame_plan.request.passes)
+        program = data.data_program(
+            frame_plan.plan.data_variant, frame_plan.request.passes, frame_plan.plan.matte_light.lit
+        )
         record = view.record_of(program.block, resolution=self.view.resolution, corner=self.view.window[:2])
         self.device.draw(program, self.targets.data_target, uniforms=record, textures=textures)
 

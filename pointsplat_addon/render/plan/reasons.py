@@ -38,6 +38,7 @@ PASSES: dict[str, str] = {
     "shade": "light on what is opaque",
     "backdrop": "a picture of the world that is out of focus, once for a view",
     "background": "the world where nothing else is",
+    "mattes": "what shows through meshes that stand for captured surfaces, and shadows on these",
     "spread": "groups brought to pixels by the pixel filter",
     "reach": "how much of each light reaches translucent splats, for all views",
     "captured": "captured splats projected, once for a view",
@@ -115,6 +116,8 @@ def reasons(plan: Plan, passes: frozenset[str], absences: Absences) -> dict[str,
         found["averages"] = "no auxiliary pass averages what is painted"
     if not plan.shaded.solid:
         found["shade"] = "points are painted" if plan.painter else "nothing opaque is drawn"
+    if not plan.matte_light.lit:
+        found["mattes"] = "no mesh stands for captured surfaces"
     if not plan.backdrop:
         found["backdrop"] = absences.blurred_world
     if not plan.background:

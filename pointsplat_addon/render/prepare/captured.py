@@ -47,13 +47,19 @@ def lit_captured(scene: Scene, instances: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(row for row in rows if scene.geometries[row].lighting != "CAPTURED")
 
 
-def without_captured_shadows(scene: Scene, row: int) -> Scene:
+def casting_on_captured(scene: Scene, row: int) -> Scene:
     """Returns a scene whose shadows are those that fall on the captured splats of a geometry: captured light has those
-    of the capture itself."""
+    of the capture itself. Mattes stand for captured surfaces."""
     instances = scene.instances
-    casts = np.ones(len(instances), bool) if instances.casts is None else instances.casts.astype(bool)
-    if scene.geometries[row].lighting == "SHADOWED":
-        casts = casts & (instances.geometry != row)
+    own = scene.geometries[row].lighting == "SHADOWED"
+    return casting_alone(scene, instances.geometry != row if own else np.ones(len(instances), bool))
+
+
+def casting_alone(scene: Scene, which: np.ndarray) -> Scene:
+    """Returns a scene in which of some instances, (I,) bool, those cast shadows that did, and are no mattes."""
+    instances = scene.instances
+    casts = which if instances.casts is None else which & instances.casts.astype(bool)
+    casts = casts if instances.matte is None else casts & ~instances.matte
     return replace(scene, instances=replace(instances, casts=casts))
 
 

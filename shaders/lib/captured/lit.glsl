@@ -1,19 +1,15 @@
 // Light on captured splats (render/passes/captured/project.py). PS_SHADOWED: of what reaches a white, dull surface without
 // shadows, the share that what casts shadows leaves, by which the captured light is multiplied. Else PS_RELIT: the radiance of
-// such a surface, which the captured colour is the albedo of.
+// such a surface, which the captured colour is the albedo of. After lights.glsl.
 
-#ifdef PS_SHADOWED
-#define PS_ARRIVES
-#endif
-#ifdef PS_RELIT
-#define PS_LIFTS 2.0  // standard deviations: of a captured surface, splats lie so far above and below each other
-#endif
-#include "lib/light/lights.glsl"
+#define PS_LIFT 2.0  // standard deviations: of a captured surface, splats lie so far above and below each other
 
 
 vec3 ps_captured_light(vec3 position, vec3 normal, vec3 to_eye, int light_count)
 {
-#if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT)
+#if defined(PS_SHADOWED) && !defined(PS_HAS_LIGHTS)
+  return vec3(1.0);
+#elif defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT)
   PsLobes lobes = ps_lobes(PsSurface(vec3(1.0), vec3(0.0), 1.0, 0.0, 1.0), normal, vec3(0.0), to_eye);
   lobes.diffuse = vec3(1.0);
   lobes.reflectance = vec3(0.0);
@@ -33,8 +29,6 @@ vec3 ps_captured_light(vec3 position, vec3 normal, vec3 to_eye, int light_count)
 #else
   return lit;
 #endif
-#elif defined(PS_SHADOWED)
-  return vec3(1.0);
 #else
   return vec3(0.0);
 #endif

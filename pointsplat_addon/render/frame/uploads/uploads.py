@@ -39,18 +39,24 @@ class Uploads:
         motion: bool = False,
         shadows: Shadows | None = None,
         captured_shadows: Mapping[int, Shadows | None] | None = None,
+        matte_shadows: Shadows | None = None,
     ) -> None:
         """`motion`: a pass asks how instances move. `captured_shadows`: that captured splats receive, by
-        geometry. DeviceError: a texture is too large, or memory is full."""
+        geometry; `matte_shadows`: that mattes do. DeviceError: a texture is too large, or memory is full."""
         self.scene, self.camera, self.prepared = scene, camera, prepared
         self._middle = prepared.view_from_object
         self._scope = UploadScope(kept)
         self.translucent: TranslucentUploads | None = None
         self.captured: CapturedUploads | None = None
         self._captured_lighting: dict[int, LightingUploads] = {}
+        self.matte_lighting: LightingUploads | None = None
         self.previous: Texture | None = None  # clip space a frame before from today's view space
         try:
             self.lighting = LightingUploads(self._scope, store, scene, plan, shadows)
+            if plan.matte_light.lit:
+                self.matte_lighting = self._lighting_of_captured(
+                    store, scene, plan, plan.matte_light.names, matte_shadows
+                )
             self.points = PointUploads(self._scope, scene, prepared, plan)
             self.polygons = PolygonUploads(self._scope, store, scene, prepared, plan, camera)
             self.strands = StrandUploads(self._scope, store, scene, prepared, plan)
@@ -85,7 +91,8 @@ class Uploads:
     @property
     def lightings(self) -> tuple[LightingUploads, ...]:
         """What lights everything, and what lights captured splats."""
-        return self.lighting, *self._captured_lighting.values()
+        mattes = () if self.matte_lighting is None else (self.matte_lighting,)
+        return self.lighting, *mattes, *self._captured_lighting.values()
 
     @property
     def shading(self) -> dict[str, Texture]:

@@ -29,6 +29,7 @@ class TranslucentOptions:
     captured: bool = False  # some are captured splats: passes/captured; then all are looked at in pixels' centres
     alone: bool = False  # and there are no others
     nodes: bool = False  # and some are nodes that stand for many: core/lod/captured
+    mattes: bool = False  # meshes stand for the surfaces of some captured splats
 
     @property
     def centred(self) -> bool:
