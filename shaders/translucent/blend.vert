@@ -35,6 +35,9 @@ void main()
   v_centre = centre.xy + u.principal_point + u.origin;
   v_conic = vec4(1.0 / x, lean, 1.0 / y, source.w);
   v_source = vec4(source.rgb, centre.w);
+#ifdef PS_INDEXED
+  v_index = float(index);
+#endif
 #ifdef PS_AMONG_OPAQUE
   vec4 front = texelFetch(ps_front, at, 0);
   v_front = vec4(centre.z, 1.0 / front.x, front.yz);

@@ -16,6 +16,7 @@ from ..device.clock import Clock
 from ..device.protocol import Texture
 from ..indirect.light import IndirectLight
 from ..indirect.surfels import scene_surfels
+from ..passes.captured.half_depth import half_depth
 from ..passes.gbuffer import GBuffer
 from ..passes.grouping.centre import CentreDepths
 from ..passes.image_space.pyramid import levels
@@ -227,8 +228,19 @@ class Frame:
             self._draw_visible(self.visibility, view, first)
         else:
             self._draw_shifted(view, first)
+        if self.lit is not None and plan.translucent is not None and plan.translucent.depth and first:
+            self._find_captured_depth(self.lit)
         if self.beside is not None:
             self.beside.sample()
+
+    def _find_captured_depth(self, lit: LitTranslucent) -> None:
+        nodes = bool(self.frame_plan.prepared.captured_nodes)
+
+        def find() -> None:
+            depth = half_depth(self.device, lit.lit, self._centred(), nodes)
+            self._data.add_captured(self.frame_plan.cropped(depth))
+
+        self.clock.run("captured depth", find)
 
     def _draw_shifted(self, view: SampleView, first: bool) -> None:
         """Draws a sample that is a picture of its own, shifted by a part of a pixel."""

@@ -320,7 +320,8 @@ def _translucent(view: ViewToPlan, kinds: _Kinds) -> TranslucentOptions | None:
         clouds, view.scene.materials, opaque, holdout, view.defocus, grouped, bool(captured),
         bool(view.prepared.captured_nodes),
     )  # fmt: skip
-    return replace(found, mattes=view.mattes and found.captured)
+    wanted = "depth" in view.request.passes
+    return replace(found, mattes=view.mattes and found.captured, depth=wanted and found.captured)
 
 
 def _captured_light(view: ViewToPlan) -> tuple[tuple[int, CapturedLighting], ...]:

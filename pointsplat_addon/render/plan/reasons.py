@@ -50,6 +50,7 @@ PASSES: dict[str, str] = {
     "translucent": "splats blended back to front",
     "enlarge": "a coarse translucent picture to the size of the fine one",
     "difference": "what translucent splats change in a layer, by the pixel filter",
+    "captured depth": "where captured splats have hidden half of the light behind them",
     "add": "a sample with what is translucent to the sums",
     "eye dome": "pixels darkened by what lies in front of their neighbours",
     "adapt": "tiles whose samples agree are found",
@@ -116,6 +117,8 @@ def reasons(plan: Plan, passes: frozenset[str], absences: Absences) -> dict[str,
         found["averages"] = "no auxiliary pass averages what is painted"
     if not plan.shaded.solid:
         found["shade"] = "points are painted" if plan.painter else "nothing opaque is drawn"
+    if plan.translucent is None or not plan.translucent.depth:
+        found["captured depth"] = "nothing is a captured splat whose depth is asked for"
     if not plan.matte_light.lit:
         found["mattes"] = "no mesh stands for captured surfaces"
     if not plan.backdrop:

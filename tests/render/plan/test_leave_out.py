@@ -99,6 +99,7 @@ EXPECTED = {
     "translucent expand difference add " + GROUPED,
     "captured splats, a matte and a cube": "shadows order shadow+maps captured polygons background mattes "
     "translucent expand difference add " + GROUPED,
+    "captured splats, depth": "order captured background translucent captured+depth add",
     "captured splats in smoke": "order captured background " + BLENDED,
     "visibility buffer, captured splats, smoke and a cube": "order captured polygons background " + GROUPED + LAYERS,
     "visibility buffer, points and polygons, out of focus, depth": "cover polygons data light tiles defocus " + GROUPED,

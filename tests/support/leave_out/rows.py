@@ -168,6 +168,7 @@ ROWS: dict[str, Row] = {
     "captured splats from far away": Row(captured_cases.captured_far),
     "captured splats, relit and shadowed, and a cube": Row(captured_cases.captured_lit),
     "captured splats, a matte and a cube": Row(captured_cases.captured_matte),
+    "captured splats, depth": Row(captured_cases.captured_alone, COMBINED | {"depth"}),
     "captured splats in smoke": Row(captured_cases.captured_in_smoke),
     "visibility buffer, captured splats, smoke and a cube": Row(captured_cases.captured_among),
     "visibility buffer, points and polygons, out of focus, depth": Row(

@@ -115,8 +115,8 @@ class CapturedUploads:
         """Whether one picture of the splats alone is drawn, which the same view can show again."""
         options = self._plan.translucent
         assert options is not None
-        lit = bool(self._plan.captured_light)
-        return options.alone and not (options.opaque or options.holdout or self._varies or lit)
+        read = bool(self._plan.captured_light) or options.depth
+        return options.alone and not (options.opaque or options.holdout or self._varies or read)
 
     @property
     def picture(self) -> Texture | None:

@@ -67,7 +67,7 @@ def project_program(
 ) -> Interface:
     """Returns the program that projects the splats of one page. `sh_texels`, `sh_shift`: as of the page.
     `nodes`: they stand for many splats. `light`: what it does to them."""
-    named = {"PS_ANTIALIASED": antialiased, "PS_AMONG_OPAQUE": options.opaque, "PS_HOLDOUT": options.holdout}
+    named = {"PS_ANTIALIASED": antialiased, "PS_AMONG_OPAQUE": options.fronts, "PS_HOLDOUT": options.holdout}
     named |= {"PS_TINT": options.tint, "PS_NODES": nodes, f"PS_{light.kind}": light.lit}
     lighting = light.names if light.lit else ()
     constants = {
