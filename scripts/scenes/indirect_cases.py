@@ -33,7 +33,7 @@ def among_balls_and_strands() -> Case:
     """A glowing cube beside balls, under strands and a picture of the sky."""
     table = materials(2, emission=[[0, 0, 0], [2.0, 1.0, 0.3]], roughness=[0.3, 0.5])
     block = replace(cube_mesh("glowing cube", 0.5), materials=(1,), material=np.full(12, 1, np.uint16))
-    x = np.linspace(-1.2, 1.2, 12)
+    x = np.linspace(-1.17, 1.21, 12)
     lines = strand_lines("strands over balls", [np.array([[a, -0.6, 0.7], [a, 0.6, 0.8]]) for a in x], 0.02)
     things = (
         (points("balls in a glow", replace(sphere_cloud(), normal=None)), moved((-0.5, 0, 0), 0.7)),

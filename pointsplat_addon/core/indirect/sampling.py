@@ -25,6 +25,7 @@ SLIVER = 8.0  # square of the longest edge over the area, from which on a triang
 TURNED_ONE_WAY = 0.9  # length of the mean of unit normals, below which triangles are not taken together
 COMPACT = 0.5  # variance of places over the area, above which they are not either: of a square it is a sixth
 REFINEMENTS, FINER = 4, 4.0  # times that groups of triangles turned several ways are divided; into so many
+# Of places (3, n): how far apart samples are to be there, and how far away the viewer is, (n,) each.
 Spacing = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
@@ -49,13 +50,13 @@ class _Parts:
         return _Parts(self.weights[:, :, rows], self.triangle[rows])
 
 
-def light_samples(mesh: Mesh, spacing: Spacing, finest: float) -> LightSamples:
+def light_samples(mesh: Mesh, spacing: Spacing) -> LightSamples:
     """Samples a mesh for light.
 
     `spacing` tells for places (3, n) float64 in object space how far apart samples are to be there, (n,), and how far
-    away the viewer is, (n,), both in object units. `finest`: no part is cut below this edge.
+    away the viewer is, (n,), both in object units.
     """
-    parts = _parts(mesh, spacing, finest)
+    parts = _parts(mesh, spacing)
     corners = _places(mesh, parts.triangle, parts.weights)
     product = cross(corners[1] - corners[0], corners[2] - corners[0])
     twice = np.sqrt(dot(product, product))
@@ -84,7 +85,7 @@ def light_samples(mesh: Mesh, spacing: Spacing, finest: float) -> LightSamples:
     )
 
 
-def _parts(mesh: Mesh, spacing: Spacing, finest: float) -> _Parts:
+def _parts(mesh: Mesh, spacing: Spacing) -> _Parts:
     """Parts of triangles over which the spacing hardly changes, and no slivers."""
     triangle = np.arange(len(mesh.triangles))
     weights = np.zeros((3, 2, len(triangle)))
@@ -98,7 +99,6 @@ def _parts(mesh: Mesh, spacing: Spacing, finest: float) -> _Parts:
         apart, away = spacing((a + b + c) / 3)
         cut = size > BIGGEST_PART * np.maximum(away - 0.5 * size, 0.0)
         cut |= (size > 0.5 * apart) & (squared > 0.5 * SLIVER * np.sqrt(dot(product, product)))
-        cut &= size > finest
         done_weights.append(weights[:, :, ~cut])
         done_triangle.append(triangle[~cut])
         count += len(done_triangle[-1])

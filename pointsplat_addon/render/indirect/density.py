@@ -13,8 +13,8 @@ UNSEEN = 3.0  # times farther apart, where it does not look
 class Density:
     """The spacing of surfels around a camera, in world space from `origin`."""
 
-    def __init__(self, camera: Camera, origin: np.ndarray, scale: float = 1.0) -> None:
-        """`scale`: of all spacings."""
+    def __init__(self, camera: Camera, origin: np.ndarray) -> None:
+        """origin (3,) float64: what places are relative to."""
         self._camera = camera
         self._view = (
             camera.view_from_world[:3, :3],
@@ -22,8 +22,6 @@ class Density:
         )
         fx, fy, cx, cy = camera.pixel_from_view()
         self._focal, self._middle = np.array([fx, fy]), np.array([cx, cy])
-        self._scale = scale
-        self.finest = 0.0
 
     def spacing(self, place: np.ndarray, margin: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Returns for places (3, n) how far apart surfels are there, and how far away the camera is, (n,) each.
@@ -49,4 +47,4 @@ class Density:
             seen = depth > -margin
         border = 0.1 * max(width, height) + wide
         seen &= (px > -border) & (px < width + border) & (py > -border) & (py < height + border)
-        return self._scale * PIXELS * size * np.where(seen, 1.0, UNSEEN), away
+        return PIXELS * size * np.where(seen, 1.0, UNSEEN), away

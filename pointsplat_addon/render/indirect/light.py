@@ -9,7 +9,7 @@ import numpy as np
 from ...core.indirect.surfels import Surfels
 from ...core.indirect.tree import build_tree
 from ...core.lod.levels import SIDE_AXES
-from ...core.numeric.morton import morton_codes
+from ...core.numeric.morton import DEPTH, morton_codes
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
 from ..device.protocol import Device, Texture
@@ -76,15 +76,15 @@ class IndirectLight:
         code, _ = morton_codes(surfels.position)
         turned = surfels.normal @ SIDE_AXES.astype(np.float32)
         face = np.abs(turned).argmax(axis=1)
-        side = (2 * face + (turned[np.arange(len(face)), face] < 0)).astype(np.uint64)
-        shift = 0
-        while True:
-            key = (code >> np.uint64(shift)) * np.uint64(6) + side
-            order = np.argsort(key, kind="stable")
-            new = np.append(True, key[order][1:] != key[order][:-1])
-            if np.count_nonzero(new) <= MOST_BOUNCE_RECEIVERS or shift >= 60:
+        side = 2 * face + (turned[np.arange(len(face)), face] < 0)
+        # In this order, those of one side that share a cell follow one another, whatever the size of cells.
+        order = np.lexsort((code, side))
+        code, turns = code[order], np.diff(side[order]) != 0
+        new, step = np.ones(len(code), bool), code[1:] ^ code[:-1]
+        for shift in range(3 * DEPTH + 1):
+            new[1:] = turns | (step >> np.uint64(shift) != 0)
+            if np.count_nonzero(new) <= MOST_BOUNCE_RECEIVERS:
                 break
-            shift += 1
         group = np.empty(len(code), np.int64)
         group[order] = np.cumsum(new) - 1
         begin = np.flatnonzero(new)

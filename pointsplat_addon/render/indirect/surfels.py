@@ -86,7 +86,9 @@ def _of_mesh(
 ) -> Surfels:
     """The surfels of one instance, each as far from the next as it is to be where it lies."""
     moved = replace(mesh, position=(mesh.position @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32))
-    made = light_samples(moved, density.spacing, density.finest)
+    made = light_samples(moved, density.spacing)
+    if np.linalg.det(matrix[:3, :3]) < 0:
+        made = replace(made, normal=-made.normal)  # mirrored triangles run the other way round
     return _with_look(mesh, table, made, kind)
 
 
@@ -103,29 +105,29 @@ def _of_instances(
     found = []
     for one in np.unique(octave).tolist():
         apart = 2.0**one
-        made = light_samples(
-            mesh, lambda at, apart=apart: (np.full(at.shape[1], apart), np.full(at.shape[1], np.inf)), 0.0
-        )
+        made = light_samples(mesh, lambda at, apart=apart: (np.full(at.shape[1], apart), np.full(at.shape[1], np.inf)))
         local = _with_look(mesh, table, made, kind)
-        found += [_moved(local, matrix) for matrix in matrices[octave == one]]
+        found.append(_moved(local, matrices[octave == one]))
     return found
 
 
-def _moved(surfels: Surfels, matrix: np.ndarray) -> Surfels:
-    """Surfels of object space in world space."""
-    linear = matrix[:3, :3]
-    cofactors = np.linalg.det(linear) * np.linalg.inv(linear).T if np.linalg.det(linear) != 0 else np.zeros((3, 3))
-    normal = surfels.normal @ cofactors.T
-    length = np.linalg.norm(normal, axis=1)
-    round_ones = ~surfels.normal.any(axis=1)
-    grown = np.where(round_ones, _scale(matrix) ** 2, length)
-    flip = np.sign(np.linalg.det(linear)) or 1.0
-    return replace(
-        surfels,
-        position=(surfels.position @ linear.T + matrix[:3, 3]).astype(np.float32),
-        normal=(flip * normal / np.maximum(length, 1e-300)[:, None]).astype(np.float32),
-        area=(surfels.area * grown).astype(np.float32),
-    )
+def _moved(surfels: Surfels, matrices: np.ndarray) -> Surfels:
+    """Surfels of object space in world space, for each of the transforms (I, 4, 4) one after the other."""
+    linear, count = matrices[:, :3, :3], len(matrices)
+    # Cofactors turn areas times normals.
+    cofactors = np.stack([np.cross(linear[:, :, (k + 1) % 3], linear[:, :, (k + 2) % 3]) for k in range(3)], axis=2)
+    flip = np.where(np.linalg.det(linear) < 0, -1.0, 1.0)
+    position = surfels.position @ linear.transpose(0, 2, 1) + matrices[:, None, :3, 3]
+    normal = surfels.normal @ cofactors.transpose(0, 2, 1)
+    length = np.sqrt((normal**2).sum(axis=2))
+    grown = np.where(surfels.normal.any(axis=1), length, _scale(matrices)[:, None] ** 2)
+    normal *= (flip[:, None] / np.maximum(length, 1e-300))[..., None]
+    closed, scattered = (np.tile(flags, count) for flags in (surfels.closed, surfels.scattered))
+    return Surfels(
+        surfels.origin, position.reshape(-1, 3).astype(np.float32), normal.reshape(-1, 3).astype(np.float32),
+        (surfels.area * grown).reshape(-1).astype(np.float32), closed, scattered,
+        np.tile(surfels.albedo, (count, 1)), np.tile(surfels.emission, (count, 1)),
+    )  # fmt: skip
 
 
 def _with_look(mesh: Mesh, table: MaterialTable, made: LightSamples, kind: tuple[bool, bool]) -> Surfels:
@@ -156,12 +158,13 @@ def _of_cloud(cloud: PointCloud, table: MaterialTable, matrix: np.ndarray, densi
     thinned = cloud.take(rows)
     albedo, emission = _look(thinned, table)
     normal = np.zeros((count, 3), np.float32) if thinned.normal is None else thinned.normal
-    stands_for = area[rows] / worth[rows] * (ends[-1] / count)
+    stands_for = area[rows] / worth[rows]
+    stands_for *= area.sum() / stands_for.sum()
     local = Surfels(
         np.zeros(3), position[rows].astype(np.float32), normal, stands_for.astype(np.float32),
         np.full(count, not flat), np.zeros(count, bool), albedo, emission,
     )  # fmt: skip
-    return _moved(local, matrix)
+    return _moved(local, matrix[None])
 
 
 def _of_strands(strands: Strands, table: MaterialTable, matrix: np.ndarray, density: Density) -> Surfels:
@@ -187,7 +190,8 @@ def _of_strands(strands: Strands, table: MaterialTable, matrix: np.ndarray, dens
     color = None if strands.color is None else strands.color[first[rows]]
     cloud = PointCloud(middle[rows].astype(np.float32), material=material, color=color)
     albedo, emission = _look(cloud, table)
-    stands_for = (area[rows] / worth[rows] * (total[-1] / count)).astype(np.float32)
+    stands_for = area[rows] / worth[rows]
+    stands_for = (stands_for * (area.sum() / stands_for.sum())).astype(np.float32)
     local = Surfels(
         np.zeros(3),
         cloud.position,
@@ -198,7 +202,7 @@ def _of_strands(strands: Strands, table: MaterialTable, matrix: np.ndarray, dens
         albedo,
         emission,
     )
-    return _moved(local, matrix)
+    return _moved(local, matrix[None])
 
 
 def _scale(matrices: np.ndarray) -> np.ndarray:

@@ -24,10 +24,10 @@ def from_eye(eye: np.ndarray, share: float):
 @pytest.mark.parametrize("mesh", [meshes.cube_mesh("cube"), meshes.sphere_mesh("sphere", 64)], ids=["cube", "sphere"])
 @pytest.mark.parametrize("apart", [0.5, 0.1, 0.03, 0.01])
 def test_areas_add_up_and_lie_on_the_mesh(mesh, apart):
-    """Worst: 4e-12 of the area; half a spacing from the surface, where triangles are taken together."""
-    made = light_samples(mesh, even(apart), 0.0)
+    """Worst: 4e-16 of the area; a tenth of a spacing from the surface, where triangles are taken together."""
+    made = light_samples(mesh, even(apart))
     whole = triangle_areas(mesh, np.arange(len(mesh.triangles))).sum()
-    assert abs(made.area.sum() / whole - 1) < 1e-9
+    assert abs(made.area.sum() / whole - 1) < 1e-12
     assert np.allclose(np.linalg.norm(made.normal, axis=1), 1)
     number = whole / apart**2
     assert min(number, len(mesh.triangles)) * 0.4 < len(made.area) < 4 * number + len(mesh.triangles)
@@ -36,18 +36,18 @@ def test_areas_add_up_and_lie_on_the_mesh(mesh, apart):
         off = np.abs(np.abs(made.position).max(axis=1) - half)
     else:
         off = np.abs(np.linalg.norm(made.position, axis=1) - half)
-    assert off.max() < max(0.5 * apart, 0.002)
+    assert off.max() < 0.15 * apart
 
 
 def test_samples_are_denser_near_the_eye():
-    """A floor seen from a height of 1: at the distance r, samples are r / 20 apart, and up to twice as dense."""
+    """A floor seen from a height of 1: at the distance r, samples are r / 20 apart. Found: 0.63 to 1.05 of that."""
     mesh, eye = meshes.plane_mesh("floor", 20.0), np.array([0.0, -1.0, 0.0])
-    made = light_samples(mesh, from_eye(eye, 0.05), 0.0)
-    assert abs(made.area.sum() / 1600 - 1) < 1e-9
+    made = light_samples(mesh, from_eye(eye, 0.05))
+    assert abs(made.area.sum() / 1600 - 1) < 1e-12
     away = np.linalg.norm(made.position - eye, axis=1)
     ratio = np.sqrt(made.area) / (0.05 * away)
-    assert ratio.min() > 0.4
-    assert ratio.max() < 1.3
+    assert ratio.min() > 0.5
+    assert ratio.max() < 1.2
 
 
 def test_closed_meshes_are_known():

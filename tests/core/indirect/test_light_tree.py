@@ -31,18 +31,18 @@ def descendants(tree: LightTree) -> np.ndarray:
 
 @pytest.mark.parametrize("count", [1, 2, 9, 300])
 def test_nodes_hold_their_surfels(count):
-    """Worst: 4e-7 of the areas and places, 1e-6 outside of the radius."""
+    """Worst: 6e-8 of the areas, 1.2e-7 of places and normals, 1.2e-7 of the radius outside of it."""
     surfels = random_surfels(count)
     tree = build_tree(surfels)
     below = descendants(tree)
     assert below[-1][tree.leaf].all()
     held = below[:, tree.leaf]
     area = surfels.area.astype(float)
-    np.testing.assert_allclose(tree.area, held @ area, rtol=2e-6)
+    np.testing.assert_allclose(tree.area, held @ area, rtol=5e-7)
     for found, of in ((tree.position, surfels.position), (tree.facing, surfels.normal)):
-        np.testing.assert_allclose(found, held @ (area[:, None] * of) / (held @ area)[:, None], atol=2e-6)
+        np.testing.assert_allclose(found, held @ (area[:, None] * of) / (held @ area)[:, None], atol=5e-7)
     away = np.linalg.norm(surfels.position[None] - tree.position[:, None], axis=2) + np.sqrt(area / np.pi)
-    assert (np.where(held, away, 0) <= tree.radius[:, None] * (1 + 1e-5)).all()
+    assert (np.where(held, away, 0) <= tree.radius[:, None] * (1 + 1e-6)).all()
 
 
 def test_surfels_in_one_place_share_a_leaf():

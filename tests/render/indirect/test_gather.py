@@ -86,7 +86,7 @@ def along(count: int, far: float) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize(("coarseness", "most", "worst"), [(1.0, 0.004, 0.02), (0.5, 0.003, 0.015)])
 def test_a_ball_hides_the_sky_from_a_plane(count, coarseness, most, worst):
     """A ball of radius R at the height h hides R^2 h / d^3 of a plane's sky at the distance d. Found: root mean square
-    0.0024 and worst 0.0113 at 1, 0.0018 and 0.0110 at 0.5."""
+    0.0031 and worst 0.0140 at 1, 0.0026 and 0.0140 at 0.5; of 30,000 surfels 0.0028, 0.0125, 0.0022 and 0.0107."""
     away, place = along(600, 6.0)
     floor = surfels_of(*floor_arrays(20.0, 60))
     surfels = joined(ball(count, 1.0, 1.5), floor)
@@ -122,15 +122,15 @@ def test_a_closed_room_lets_nothing_in(cells, outward):
 
 @pytest.mark.parametrize("outward", [-1.0, 1.0], ids=["inward", "outward"])
 def test_an_even_glow_is_as_bright_everywhere(outward):
-    """In a closed room whose walls all send 1, every receiver gets 1: within a percent away from walls, and 4 % at half
-    a spacing from them. Found: 0.9966 and 1.0033; 0.9625."""
+    """In a closed room whose walls all send 1, every receiver gets 1: within a percent. Found: 0.9966 to
+    1.0047, and 0.9980 at half a spacing from a wall."""
     cells = 100
     surfels, spacing = room(cells, outward), 2 / cells
     inner = np.stack([1 - np.geomspace(spacing, 1, 60), np.full(60, 0.123), np.full(60, 1e-4 - 1)], axis=1)
     found = gathered(surfels, np.ones(len(surfels)), inner, UP)
     assert np.abs(found - 1).max() < 0.01
     near = np.array([[1 - 0.5 * spacing, 0.123, 1e-4 - 1]])
-    assert abs(gathered(surfels, np.ones(len(surfels)), near, UP)[0] - 1) < 0.04
+    assert abs(gathered(surfels, np.ones(len(surfels)), near, UP)[0] - 1) < 0.01
 
 
 def perpendicular(a: float, b: np.ndarray, c: np.ndarray) -> np.ndarray:
@@ -143,18 +143,18 @@ def perpendicular(a: float, b: np.ndarray, c: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("spacings", [0.5, 2.0, 10.0, 40.0])
 def test_a_wall_lights_the_floor_before_it(spacings):
-    """Against the form factor of a wall that stands on the floor. Worst: 3.6 % at half a spacing, 2 % beyond."""
+    """Against the form factor of a wall that stands on the floor. Worst: 1.85 %, at two spacings."""
     cells = 100
     surfels = wall(cells, 0, 1.0)
     apart = spacings * 2 / cells
     place = np.array([[1 - apart, 0.2, -1.0]])
     truth = perpendicular(apart, np.array([0.8, 1.2]), np.array(2.0)).sum()
     found = gathered(surfels, np.ones(len(surfels)), place, UP)[0]
-    assert abs(found / truth - 1) < 0.05
+    assert abs(found / truth - 1) < 0.025
 
 
 def test_a_thin_wall_keeps_light_apart():
-    """A wall a tenth of the spacing thick, bright on the far side: nothing of that comes through. Worst: 0.0009."""
+    """A wall a tenth of the spacing thick, bright on the far side: hardly any of that comes through. Worst: 0.0040."""
     cells = 40
     near, far = wall(cells, 0, 1.0), wall(cells, 0, 1.0, outward=1.0)
     shift = np.array([0.1 * 2 / cells, 0, 0], np.float32)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ...numeric.morton import DEPTH, morton_codes, sorted_by_code
 from ...numeric.record import record
+from ...numeric.rotations import rotation_matrices
 from ...numeric.segments import batches, offsets
 from ...numeric.vectors import each_block, take_rows
 from ...scene.captured import CapturedSplats
@@ -196,7 +197,7 @@ def _rows(splats: CapturedSplats, which: np.ndarray) -> np.ndarray:
     rows = np.empty((16, len(which)))
     np.maximum(splats.opacity[which] * area, 1e-300, out=rows[0])
     rows[1:4] = splats.position[which].T
-    axes = _axes(splats.rotation[which].T.astype(np.float64)) * scale
+    axes = rotation_matrices(splats.rotation[which].T.astype(np.float64)) * scale
     for at, (i, j) in enumerate(PAIRS, 4):
         rows[at] = (axes[i] * axes[j]).sum(axis=0)
     rows[10:13] = linear_from_display(np.maximum(DEGREE_0 * splats.base[which].T + 0.5, 0))
@@ -204,16 +205,6 @@ def _rows(splats: CapturedSplats, which: np.ndarray) -> np.ndarray:
     rows[14] = splats.opacity[which] * rows[13]
     rows[15] = (rows[4] + rows[7] + rows[9]) * rows[13]
     return rows
-
-
-def _axes(quaternion: np.ndarray) -> np.ndarray:
-    """(3, 3, n): the rotation matrices of unit quaternions (4, n), w first."""
-    w, x, y, z = quaternion
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
 
 
 def surface(scale: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...numeric.rotations import rotation_matrices
 from ...numeric.vectors import each_block
 from ...scene.captured import CapturedSplats
 from ...splat.captured import LEAST_ALPHA, MOST_ALPHA
@@ -26,7 +27,7 @@ def captured_casters(splats: CapturedSplats, world_from_object: np.ndarray) -> C
         some = rows[block]
         with np.errstate(over="ignore", invalid="ignore"):
             position[block] = splats.position[some] @ turn.T
-            own = _rotations(splats.rotation[some].T) * (2 * splats.scale[some].T)
+            own = rotation_matrices(splats.rotation[some].T) * (2 * splats.scale[some].T)
             axes[..., block] = (turn @ own.reshape(3, -1)).reshape(own.shape)
 
     each_block(len(rows), fill)
@@ -35,13 +36,3 @@ def captured_casters(splats: CapturedSplats, world_from_object: np.ndarray) -> C
     with np.errstate(over="ignore", invalid="ignore"):
         good = np.isfinite(position).all(axis=1) & np.isfinite(found.reach) & (found.reach > 0)
     return found if good.all() else found.take(good)
-
-
-def _rotations(quaternion: np.ndarray) -> np.ndarray:
-    """(3, 3, n): the rotation matrices of unit quaternions (4, n), w first."""
-    w, x, y, z = quaternion
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip

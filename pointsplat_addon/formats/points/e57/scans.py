@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ....core.numeric.record import record
+from ....core.numeric.rotations import rotation_matrices
 from ..columns import STANDARD, normalised
 from ..reader import CHUNK, Attribute, Columns, FileReader, Header, PointFileError, origin_of
 from .pages import Pages
@@ -195,12 +196,7 @@ def _pose(item: ElementTree.Element) -> np.ndarray | None:
         w, x, y, z = (_number(rotation, name) for name in "wxyz")
         length = np.sqrt(w * w + x * x + y * y + z * z)
         if 0 < length < np.inf:
-            w, x, y, z = w / length, x / length, y / length, z / length
-            found[:3, :3] = [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
+            found[:3, :3] = rotation_matrices(np.array([w, x, y, z]) / length)
     if translation is not None:
         found[:3, 3] = [_number(translation, name) for name in "xyz"]
     return found if np.isfinite(found).all() else None

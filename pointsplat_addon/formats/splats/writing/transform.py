@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ....core.numeric.harmonics import turning
+from ....core.numeric.rotations import rotation_matrices
 from ....core.numeric.vectors import each_block
 from ....core.scene.captured import CapturedSplats
 from ..reader import BLOCK, DEGREES
@@ -42,7 +43,8 @@ def _reshaped(splats: CapturedSplats, linear: np.ndarray) -> tuple[np.ndarray, n
     rotation, scale = np.empty_like(splats.rotation), np.empty_like(splats.scale)
 
     def work(rows: slice) -> None:
-        axes = linear @ matrices(splats.rotation[rows].astype(np.float64)) * splats.scale[rows, None, :]
+        turned = np.moveaxis(rotation_matrices(splats.rotation[rows].T.astype(np.float64)), 2, 0)
+        axes = linear @ turned * splats.scale[rows, None, :]
         u, values, _ = np.linalg.svd(axes)
         u[np.linalg.det(u) < 0] *= -1
         rotation[rows], scale[rows] = quaternion(u), values
@@ -58,15 +60,6 @@ def turned_harmonics(sh: np.ndarray, turn: np.ndarray) -> np.ndarray:
         own = slice(degree**2 - 1, (degree + 1) ** 2 - 1)
         found[:, own] = turning(turn, degree).astype(np.float32) @ sh[:, own]
     return found
-
-
-def matrices(rotation: np.ndarray) -> np.ndarray:
-    """Rotation matrices (n, 3, 3) of unit quaternions w, x, y, z (n, 4)."""
-    w, x, y, z = rotation.T
-    rows = [[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]]  # fmt: skip
-    return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
 
 
 def quaternion(matrix: np.ndarray) -> np.ndarray:

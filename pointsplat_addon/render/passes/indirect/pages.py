@@ -28,7 +28,7 @@ def node_texture(device: Device, tree: LightTree, radiance: np.ndarray) -> Textu
     bits = tree.octants.astype(np.float64) + 256.0 * (tree.scattered > 0.5) + 512.0 * np.rint(LEVELS * tree.along)
     rows = [tree.position, tree.radius, tree.area, tree.first, bits, octahedral(tree.axis)]
     rows += [octahedral(tree.facing), length, *(packed_radiance(side) for side in radiance)]
-    return _texture(device, np.column_stack(rows), NODE_WIDTH)
+    return paged_texture(device, np.column_stack(rows), NODE_WIDTH)
 
 
 def packed_radiance(radiance: np.ndarray) -> np.ndarray:
@@ -46,11 +46,11 @@ def receiver_texture(
     the lobes around these are, (N,)."""
     count = len(position)
     zero = np.zeros(count, np.float32)
-    return _texture(device, np.column_stack([position, sharpness, normal, zero, mirror, zero]), RECEIVER_WIDTH)
+    return paged_texture(device, np.column_stack([position, sharpness, normal, zero, mirror, zero]), RECEIVER_WIDTH)
 
 
-def _texture(device: Device, rows: np.ndarray, width: int) -> Texture:
-    """Of rows (N, 4 k), so many of them side by side."""
+def paged_texture(device: Device, rows: np.ndarray, width: int) -> Texture:
+    """Returns the texture of rows (N, 4 k) of numbers, k texels each, `width` rows side by side."""
     height = max(-(-len(rows) // width), 1)
     data = np.zeros((width * height, rows.shape[1]), np.float32)
     data[: len(rows)] = rows

@@ -8,7 +8,7 @@ from ....shading.interface import Interface
 from ...device.protocol import Device, Texture
 from ..shading.lighting import LIGHT_FIELDS, SAMPLE_FIELDS, lighting_defines, lighting_samplers
 from ..uniforms import block
-from .pages import _texture
+from .pages import paged_texture
 
 WIDTH = 2048  # surfels in a row, of two texels each
 TAPS = 4  # points of wide lights
@@ -38,7 +38,7 @@ def lit_surfels(
     """Returns the irradiance over pi, (N, 3) float32, of surfels whose places and normals (N, 3) are in view space."""
     count = len(position)
     zero = np.zeros(count, np.float32)
-    surfels = _texture(device, np.column_stack([position, zero, normal, zero]), WIDTH)
+    surfels = paged_texture(device, np.column_stack([position, zero, normal, zero]), WIDTH)
     found = device.texture((WIDTH, surfels.size[1]), "RGBA32F")
     target = device.target([found])
     try:

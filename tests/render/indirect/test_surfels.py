@@ -1,0 +1,52 @@
+"""Surfels of a scene: of single instances and of many that share samples, turned, mirrored and sheared."""
+
+import numpy as np
+import pytest
+
+from pointsplat_addon.core.indirect.surfels import Surfels
+from pointsplat_addon.render.cache.store import Store
+from pointsplat_addon.render.indirect.surfels import MANY_INSTANCES, scene_surfels
+from scripts.scenes import build, cameras, meshes
+
+
+def made(*things) -> Surfels:
+    eye = cameras.camera((0.4, -6.0, 0.8))
+    found = scene_surfels(build.scene(*things), eye, Store(), lambda: None)
+    assert found is not None
+    return found
+
+
+def transforms(count: int) -> np.ndarray:
+    """(count, 4, 4): every other one mirrors."""
+    rng = np.random.default_rng(2)
+    found = np.tile(np.eye(4), (count, 1, 1))
+    sheared = np.eye(3) + rng.uniform(-0.2, 0.2, (count, 3, 3))
+    found[:, :3, :3] = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0] @ sheared
+    found[:, :3, 3] = rng.uniform(-2, 2, (count, 3))
+    mirrors = np.linalg.det(found[:, :3, :3]) < 0
+    found[mirrors == (np.arange(count) % 2 == 0), :3, 0] *= -1
+    return found
+
+
+@pytest.mark.parametrize("count", [1, 2, MANY_INSTANCES + 4])
+def test_surfels_bound_the_volume_of_their_bodies(count):
+    """By the divergence theorem, sums of area times normal are 0, and of that times position three times the volume,
+    whose sign mirrors keep. Worst: 6.5e-9 of the area, 1e-7 of the volume."""
+    body = meshes.cube_mesh("cube of many", 0.5)
+    cube = build.mesh(body, "POLYGONS")
+    matrices = transforms(count)
+    surfels = made(*((cube, matrix) for matrix in matrices))
+    weighted = surfels.area[:, None].astype(float) * surfels.normal
+    assert np.abs(weighted.sum(axis=0)).max() < 1e-7 * surfels.area.sum()
+    volume = np.abs(np.linalg.det(matrices[:, :3, :3])).sum() * np.ptp(body.position[:, 0]) ** 3
+    assert abs((weighted * surfels.position).sum() / (3 * volume) - 1) < 1e-6
+    assert surfels.closed.all()
+
+
+def test_balls_keep_their_whole_surface():
+    """As many as there are, or fewer that stand for them; under a uniform scale. Worst: 1.2e-7."""
+    position = np.random.default_rng(1).uniform(-1, 1, (5000, 3)).astype(np.float32)
+    cloud = build.PointCloud(position, radii=np.full((5000, 1), 0.004, np.float32))
+    surfels = made((build.points("many small balls", cloud), build.moved(scale=2.0)))
+    assert len(surfels) < 2500
+    np.testing.assert_allclose(surfels.area.sum(dtype=float), 5000 * 4 * np.pi * 0.008**2, rtol=1e-6)
