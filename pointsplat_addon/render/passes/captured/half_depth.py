@@ -78,7 +78,7 @@ def _draw(device: Device, lit: LitSplats, view: SampleView, target, span: Textur
 
 
 def _depths(device: Device, lit: LitSplats, view: SampleView, found: np.ndarray, first: int) -> np.ndarray:
-    """Depths (H, W) of the planes of splats `found` (H, W) in pixels' centres; infinite where that is before `first`."""
+    """Depths (H, W) of the planes of splats `found` (H, W) at pixels' centres; infinite before `first`."""
     centre, front = (device.read(lit.textures[name]).reshape(-1, 4) for name in ("ps_centre", "ps_front"))
     there = found >= first
     which = np.where(there, found, first)
