@@ -179,7 +179,8 @@ class CapturedUploads:
         """The draw list of a view; that of before where nothing has changed."""
         order: CapturedOrder = self._scope.lookup(self._order_key, CapturedOrder)
         numbers = (*camera.pixel_from_view(), *camera.window, *camera.resolution, camera.near, camera.far)
-        key = (numbers, self._varies, *(one.content for one in self._shown), *(view.tobytes() for view in views))
+        assert self._plan.translucent is not None
+        key = (numbers, self._varies, self._plan.translucent.trained, *(one.content for one in self._shown), *(view.tobytes() for view in views))
         if order.texture is not None and order.key == key:
             return order
         before = time.perf_counter()
