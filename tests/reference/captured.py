@@ -82,9 +82,7 @@ def display_from_linear(c: np.ndarray) -> np.ndarray:
     return np.where(c > 0.0031308, 1.055 * np.maximum(c, 0.0031308) ** (1 / 2.4) - 0.055, c * 12.92)
 
 
-def project(
-    splats: CapturedSplats, world_from_object: np.ndarray, camera: Camera, trained: bool = False
-) -> Projected:
+def project(splats: CapturedSplats, world_from_object: np.ndarray, camera: Camera, trained: bool = False) -> Projected:
     """What a camera sees of the splats of one instance, (4, 4). `trained`: in display values."""
     view = camera.view_from_world @ world_from_object
     linear = view[:3, :3]
