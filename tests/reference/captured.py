@@ -145,7 +145,7 @@ def blend(seen: Projected, size: tuple[int, int], opaque: np.ndarray | float = n
     order = np.argsort(seen.depth, kind="stable")
     y, x = np.mgrid[:height, :width].reshape(2, -1) + 0.5
     behind = np.broadcast_to(np.asarray(opaque, float), (height, width)).reshape(-1)
-    found, through = np.zeros((len(x), 3)), np.ones(len(x))
+    found, through = np.zeros((len(x), seen.color.shape[1])), np.ones(len(x))
     reach = np.sqrt(2 * np.log(np.maximum(255 * seen.opacity, 1)))
     half = reach[:, None] * np.sqrt(np.einsum("nii->ni", seen.covariance))
     low = np.clip(np.floor(seen.centre - half), 0, (width, height)).astype(int)
@@ -165,7 +165,7 @@ def blend(seen: Projected, size: tuple[int, int], opaque: np.ndarray | float = n
         weight = through[rows] * alpha
         found[rows] += weight[:, None] * seen.color[k]
         through[rows] -= weight
-    return np.column_stack([found, 1 - through]).reshape(height, width, 4)
+    return np.column_stack([found, 1 - through]).reshape(height, width, -1)
 
 
 def picture(
