@@ -8,7 +8,7 @@ lowest one against the formula whose splats are ordered by depths in float32, as
 still differ by more than LARGE, and in how many of these a splat's alpha in float64 lies so near to 1/255 that rounding
 decides whether it shows; and the lowest PSNR without the latter.
 
---far: smaller and smaller pictures instead, of which nodes draw the second one; docs/notes/splats.md, "Level of detail".
+--far: smaller and smaller pictures instead, of which nodes draw the second one (notes: "Level of detail").
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Shot:
         for everywhere in (True, False):
             rows, found = seen(self.splats, largest, matrix, self.eye, everywhere)
             depth[rows] = found
-        exact = -(self.splats.position.astype(float) + self.splats.origin) @ view[2, :3] - view[2, 3]
+        exact = -((self.splats.position.astype(float) + self.splats.origin) @ view[2, :3] + view[2, 3])
         return depth[(exact > self.eye.nearest) & (exact < self.eye.far)]
 
     def drawn(self, blending: str) -> tuple[np.ndarray, int]:
