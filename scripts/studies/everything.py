@@ -36,7 +36,7 @@ NAMES = {"tree_CUtree": "maple", "Ground_Untitled": "plant", "1": "bonsai", "dra
          "spot_triangulated": "Spot", "Plane": "floor"}  # fmt: skip
 VEILS = "smoke", "panes"  # which others are seen through
 LEAST = 0.05  # of a pixel that a veil covers, or that captured splats hide
-CAPTURE, PLACE, WIDTH = "Capture", (2.35, -1.5), 0.8  # name, place on the floor and metres of captured splats
+CAPTURE, PLACE, WIDTH = "Capture", (0.95, -1.35), 0.6  # name, place on the floor and metres of captured splats
 
 
 def part_of(item: Any) -> str:
