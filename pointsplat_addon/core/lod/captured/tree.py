@@ -46,8 +46,8 @@ class CapturedTree:
     first_own: tuple[np.ndarray, ...]  # of each level: (cells + 1,) int32
     own: tuple[np.ndarray, ...]  # of each level: rows of the splats that are stored there, int32
     always: np.ndarray  # (A,) int32: rows of splats that are larger than the largest cell
-    # (M, 3) float32: coefficients of degree 0 whose display values are means of those of the splats, for blending these;
-    # None: not asked for.
+    # (M, 3) float32: coefficients of degree 0 whose display values are means of those of the splats, for blending
+    # these; None: not asked for.
     trained_base: np.ndarray | None = None
 
     def __len__(self) -> int:
