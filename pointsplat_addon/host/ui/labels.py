@@ -117,8 +117,8 @@ BLENDING_ITEMS: dict[str, Item] = {
         "TRAINED",
         "As Trained",
         "Display values (sRGB) are blended, over those of the world, and turned to linear light pixel by pixel: with "
-        "the view transform Standard the picture is the one that training saw. Where captured splats are alone in view, "
-        "without depth of field and unlit; else Linear, with a warning",
+        "the view transform Standard the picture is the one that training saw. Where captured splats are alone in "
+        "view, without depth of field and unlit; else Linear, with a warning",
     ),
 }
 LIGHTING_ITEMS: dict[str, Item] = {
