@@ -9,6 +9,7 @@ still differ by more than LARGE, and in how many of these a splat's alpha in flo
 decides whether it shows; and the lowest PSNR without the latter.
 
 --far: smaller and smaller pictures instead, of which nodes draw the second one (notes: "Level of detail").
+As if not antialiased: of splats that are, the formula leaves out what is too faint one by one, which nodes do not.
 """
 
 from __future__ import annotations
@@ -152,10 +153,10 @@ def near_row(path: Path, size: tuple[int, int]) -> str:
 
 
 def far_rows(path: Path) -> Iterator[str]:
-    """The largest picture that nodes draw, and the smaller ones down to a tenth of the splats."""
+    """The largest picture that nodes draw, and the smaller ones down to a tenth of the splats; none is antialiased."""
     for side in FAR:
         (shot,) = views(path, (side, side), 1)
-        shot = replace(shot, key=f"{path} far")
+        shot = replace(shot, key=f"{path} far", splats=replace(shot.splats, antialiased=False))
         shares, found = [], []
         expected = shot.expected()
         for blending in BLENDINGS:
