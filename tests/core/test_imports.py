@@ -1,4 +1,4 @@
-"""The direction of imports: host → devices, render, formats → shading, core."""
+"""The direction of imports: host → devices, render → stream → formats → shading, core."""
 
 import ast
 import subprocess
@@ -16,6 +16,22 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 FORBIDDEN = {
     "core": {"bpy", "gpu", "moderngl", "glcontext"},
     "shading": {"bpy", "gpu", "moderngl", "glcontext"},
+    "formats": {
+        "bpy",
+        "gpu",
+        "moderngl",
+        "pointsplat_addon.stream",
+        "pointsplat_addon.render",
+        "pointsplat_addon.host",
+    },
+    "stream": {
+        "bpy",
+        "gpu",
+        "moderngl",
+        "pointsplat_addon.render",
+        "pointsplat_addon.devices",
+        "pointsplat_addon.host",
+    },
     "render": {"bpy", "gpu", "moderngl", "glcontext", "pointsplat_addon.devices", "pointsplat_addon.host"},
 }
 

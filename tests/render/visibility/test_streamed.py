@@ -1,5 +1,6 @@
 """Pictures of scans that are read by pages, beside those of the same points in memory."""
 
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,9 +11,11 @@ from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.scene import Geometry, PointSize, Scene, StreamedScan
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
+from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.plan.request import Request, Result
+from pointsplat_addon.render.prepare.streamed import with_pages
 from pointsplat_addon.stream.need import needed_pages
-from pointsplat_addon.stream.pool import POOL
+from pointsplat_addon.stream.pool import POOL, PagePool
 from pointsplat_addon.stream.tree import PageTree
 from scripts.scenes import build, cameras
 from scripts.scenes.drawing import opengl
@@ -158,3 +161,27 @@ def test_a_viewport_draws_what_is_there_and_then_the_rest(tmp_path: Path) -> Non
     assert shown[0] < shown[-1] == COUNT
     assert shown == sorted(shown)
     assert len(source.read_pages) == len(source.directory)
+
+
+def test_scenes_without_such_scans_start_no_threads_and_report_nothing() -> None:
+    before = threading.active_count()
+    pool = PagePool()
+    scene = in_memory()
+    again, streamed = with_pages(scene, CAMERA, SETTINGS, Store(), False, lambda: None, pool)
+    assert again is scene
+    assert streamed is None
+    assert threading.active_count() == before
+
+
+def test_a_picture_that_is_no_longer_wanted_stops_waiting(tmp_path: Path) -> None:
+    source, scene = paged(tmp_path)
+    source.seconds = 1.0
+    asked = []
+
+    def cancelled() -> bool:
+        asked.append(True)
+        return len(asked) > 3
+
+    request = Request(CAMERA, SETTINGS, frozenset({"combined"}), 17)
+    assert opengl().render(scene, request, cancelled=cancelled).cancelled
+    source.seconds = 0.0
