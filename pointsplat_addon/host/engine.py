@@ -40,7 +40,10 @@ class PointSplatEngine(bpy.types.RenderEngine):
         report = {}
         try:
             report = self._final.render(self, depsgraph)
-        except (final.RenderError, DeviceError) as error:
+        except DeviceError as error:
+            report = {"failed": "device"}
+            self.report({"ERROR"}, str(error))
+        except final.RenderError as error:
             self.report({"ERROR"}, str(error))
         except Exception as error:
             # Blender treats a render as finished when its engine raises.

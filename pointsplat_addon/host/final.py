@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import threading
 import time
 from concurrent.futures import Future, wait
@@ -120,6 +121,8 @@ def _draw(engine: bpy.types.RenderEngine, scene: scene_module.Scene, request: Re
     order = ("BLENDER_GPU", "OPENGL") if setting == "BLENDER_GPU" else ("OPENGL", "BLENDER_GPU")
     problems = []
     for name in order:
+        if name == "BLENDER_GPU" and problems and bpy.app.background and sys.platform.startswith("linux"):
+            break  # without a window Blender's contexts come from the same EGL, and it crashes where there is none
         job = Job(scene, request)
         try:
             result = job.wait(engine, job.on_opengl() if name == "OPENGL" else job.on_blender(engine))

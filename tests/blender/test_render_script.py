@@ -11,7 +11,7 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parents[2]
 REPORT_KEYS = {
     "device", "seconds", "passes", "skipped", "points", "samples", "technique", "triangles", "lines", "bytes",
-    "warnings",
+    "warnings", "version",
 }  # fmt: skip
 
 MAKE_FILES = """
