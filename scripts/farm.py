@@ -14,6 +14,7 @@ share. Exit codes: 0 all frames are there, 1 some failed, 2 a wrong argument.
 import argparse
 import hashlib
 import json
+import logging
 import os
 import signal
 import subprocess
@@ -249,7 +250,7 @@ def _ended(running: list[distributed.Future]) -> list[distributed.Future]:
     except TimeoutError:
         return []
     except (OSError, distributed.CancelledError) as error:
-        raise LostError(str(error)) from error
+        raise LostError("the connection was lost") from error
     if any(future.status in ("cancelled", "lost") for future in running):
         raise LostError("it forgot the frames")
     return list(done)
@@ -262,7 +263,7 @@ def _result(future: distributed.Future, frame: int) -> tuple[dict, str]:
     except distributed.KilledWorker as error:
         found = {"state": "failed", "frame": frame, "machine": error.last_worker.name, "message": str(error)}
     except (OSError, distributed.CancelledError) as error:
-        raise LostError(str(error)) from error
+        raise LostError("the connection was lost") from error
     return found, found.get("address", found["machine"])
 
 
@@ -270,6 +271,7 @@ def _result(future: distributed.Future, frame: int) -> tuple[dict, str]:
 
 
 def render(args: argparse.Namespace) -> int:
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is said here
     film = film_of(args)
     say(f"{len(film.missing())} of {len(film.numbers)} frames are missing")
     try:
