@@ -121,10 +121,14 @@ def version(engine) -> str:
 
 
 def check_files() -> None:
-    """MachineError: a file that the scene reads is missing."""
+    """MachineError: a file that the scene reads at the present frame is missing."""
     import bpy
 
-    missing = [path for path in bpy.utils.blend_paths(absolute=True) if not Path(path).exists() and "<" not in path]
+    needed = [path for path in bpy.utils.blend_paths(absolute=True) if "<" not in path]  # those are tiles of an image
+    missing = {path for path in needed if not Path(path).exists()}
+    for instance in bpy.context.evaluated_depsgraph_get().object_instances:
+        if instance.object.type == "VOLUME" and not instance.object.data.grids.load():  # of sequences the frame's own
+            missing.add(f"{instance.object.name}: {instance.object.data.grids.error_message}")
     if missing:
         raise MachineError(f"files that the scene reads are missing: {', '.join(sorted(missing))}")
 
@@ -200,15 +204,18 @@ def prepare(scene, args: argparse.Namespace) -> None:
     scene.render.use_file_extension = False  # the name is written as it was given
 
 
-def render_frame(scene, frame: int, path: Path, engine) -> dict:
+def render_frame(scene, frame: int, path: Path, engine, strict: bool = False) -> dict:
     """Render one frame into a file and return the engine's report. A render that fails leaves no file behind.
 
-    RuntimeError: the render failed, or Blender wrote nothing. MachineError: there is nothing to draw with, or no space.
+    RuntimeError: the render failed, or Blender wrote nothing. MachineError: there is nothing to draw with, or no space,
+    or, where `strict`, a file is missing.
     """
     import bpy
 
     print(f"Fra:{frame}", flush=True)
     scene.frame_set(frame)
+    if strict:
+        check_files()
     path.parent.mkdir(parents=True, exist_ok=True)
     path.unlink(missing_ok=True)
     part = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
@@ -248,14 +255,12 @@ def render(args: argparse.Namespace) -> None:
     if args.require and not f"{(found := version(engine))} ".startswith(f"{args.require} "):
         raise MachineError(f"this machine has PointSplat {found}, and {args.require} is asked for")
     scene = open_file(args.file)
-    if args.strict:
-        check_files()
     prepare(scene, args)
     if args.frames:
-        report = [render_frame(scene, f, numbered(args.output, f), engine) for f in args.frames]
+        report = [render_frame(scene, f, numbered(args.output, f), engine, args.strict) for f in args.frames]
     else:
         frame = scene.frame_current if args.frame is None else args.frame
-        report = render_frame(scene, frame, args.output, engine)
+        report = render_frame(scene, frame, args.output, engine, args.strict)
     if args.report:
         args.report.parent.mkdir(parents=True, exist_ok=True)
         args.report.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")

@@ -88,8 +88,8 @@ def build(path: Path, frames: int, points: int, resolution: tuple[int, int]) -> 
     smoke.data.is_sequence = True
     smoke.data.frame_duration, smoke.data.frame_start, smoke.data.sequence_mode = frames, 1, "CLIP"
 
-    park.light("SUN", "Sun", 3.0, (1.0, 0.95, 0.85), (4, -3, 6), (0, 0, 0)).angle = math.radians(1.0)
-    park.light("AREA", "Sky light", 120.0, (0.7, 0.8, 1.0), (-3, -3, 4), (0, 0, 0.5)).size = 2.0
+    park.light("SUN", "Sun", 3.0, (1.0, 0.95, 0.85), (4, -3, 6), (0, 0, 0)).angle = 0.0
+    park.light("POINT", "Fill", 200.0, (0.7, 0.8, 1.0), (-3, -3, 4), (0, 0, 0.5)).shadow_soft_size = 0.0
     scene.world = bpy.data.worlds.new("Sky")
     if not scene.world.node_tree:
         scene.world.use_nodes = True
