@@ -46,6 +46,8 @@ except ModuleNotFoundError:
 
 POLL = 1.0  # seconds, after which new machines are looked for
 PATIENCE = 5.0  # seconds between attempts to reach a scheduler
+GRACE = 120.0  # seconds in which another machine may come where none that is there can draw
+DASK = sys.executable, "-P", "-m"  # -P: scripts are those of this checkout, whatever the working folder has
 MOST_TRIES = 2  # machines on which a frame raises before it counts as failed
 
 
@@ -70,6 +72,7 @@ class Film:
 
     job: dict  # of farm_task.draw
     numbers: list[int]
+    shared: bool  # machines come and go; else they are processes of this one
     failed: dict[int, str] = field(default_factory=dict)  # message by frame
     ended: list[dict] = field(default_factory=list)  # what farm_task.draw returned for frames that are there
     begun: float = field(default_factory=time.time)
@@ -146,7 +149,7 @@ def film_of(args: argparse.Namespace) -> Film:
         "require": version_of(ROOT),
         "threads": args.threads or (max(1, (os.cpu_count() or 1) // args.workers) if args.workers else None),
     }
-    film = Film(job, list(args.frames))
+    film = Film(job, list(args.frames), args.scheduler is not None)
     try:
         before = json.loads((folder / "job.json").read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -203,14 +206,15 @@ def draw_missing(client: distributed.Client, film: Film) -> None:
     tried: dict[int, dict[str, str]] = defaultdict(dict)  # what each machine said that failed, by frame
     waiting = film.missing()
     running: dict[distributed.Future, int] = {}
-    alone, idle = True, False
+    alone, idle = True, 0.0  # idle: since when no machine that is there can draw
     while waiting or running:
-        workers = list(client.scheduler_info(n_workers=-1)["workers"])
-        able = [address for address in workers if address not in refused]
-        if not workers and not idle:
+        able = [address for address in _workers(client) if address not in refused]
+        if able or running:
+            idle = 0.0
+        elif not idle:
             say("waiting for workers: python scripts/farm.py worker ADDRESS starts one")
-        idle = not workers
-        if workers and not able and not running:
+            idle = time.monotonic()
+        elif refused and time.monotonic() - idle > (GRACE if film.shared else 0):
             reasons = "; ".join(sorted(set(refused.values())))
             for frame in waiting:
                 film.fail(frame, f"no machine can draw it: {reasons}")
@@ -238,6 +242,14 @@ def draw_missing(client: distributed.Client, film: Film) -> None:
             else:
                 alone = False
                 film.fail(frame, found["message"])
+
+
+def _workers(client: distributed.Client) -> list[str]:
+    """Addresses of all workers. LostError: the scheduler is gone."""
+    try:
+        return list(client.scheduler_info(n_workers=-1)["workers"])
+    except OSError as error:
+        raise LostError("the connection was lost") from error
 
 
 def _ended(running: list[distributed.Future]) -> list[distributed.Future]:
@@ -291,14 +303,13 @@ def render(args: argparse.Namespace) -> int:
 
 
 def scheduler(args: argparse.Namespace) -> int:
-    command = ["-m", "distributed.cli.dask_scheduler", "--port", str(args.port), "--no-dashboard"]
-    return subprocess.call([sys.executable, *command])
+    return subprocess.call([*DASK, "distributed.cli.dask_scheduler", "--port", str(args.port), "--no-dashboard"])
 
 
 def worker(args: argparse.Namespace) -> int:
     """Draws frames for a scheduler, and waits for it where it is not there, until it is interrupted."""
     with tempfile.TemporaryDirectory() as scratch:
-        command = [sys.executable, "-m", "distributed.cli.dask_worker", args.address, "--nthreads", "1"]
+        command = [*DASK, "distributed.cli.dask_worker", args.address, "--nthreads", "1"]
         command += ["--memory-limit", "0", "--no-dashboard", "--local-directory", scratch]
         while True:
             subprocess.call(command)
