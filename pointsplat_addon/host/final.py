@@ -21,7 +21,7 @@ from ..render.device.protocol import DeviceError
 from ..render.passes.outputs import BY_KEY, CRYPTO, PASSES
 from ..render.plan.request import Request, Result
 from ..render.renderer import Renderer
-from . import disk_cache
+from . import command_line, disk_cache
 from .convert.camera import render_camera
 from .convert.objects import collect
 from .device import device_costs, gl_thread, main_gpu
@@ -57,6 +57,7 @@ class FinalRender:
         previous = _previous(engine, depsgraph) if "vector" in wanted else None
         camera, warnings = _camera(engine, depsgraph)
         settings = depsgraph.scene_eval.pointsplat.settings()
+        command_line.use_threads(depsgraph.scene.render)
         if settings.device != "BLENDER_GPU":
             gl_thread.THREAD.prepare()  # while the scene is converted
         if previous is not None:

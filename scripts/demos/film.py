@@ -75,9 +75,7 @@ def build(path: Path, frames: int, points: int, resolution: tuple[int, int]) -> 
     bpy.ops.pointsplat.import_points(filepath=str(folder / "hill.ply"))
     bpy.context.object.location = (0, 0, 0)
 
-    cow = park.load(
-        "spot/spot_triangulated.obj.gz", park.material("Cow", image="spot/spot_texture.png"), 1.6, "Cow"
-    )
+    cow = park.load("spot/spot_triangulated.obj.gz", park.material("Cow", image="spot/spot_texture.png"), 1.6, "Cow")
     cow.data.shade_smooth()
     twist = cow.modifiers.new("Twist", "SIMPLE_DEFORM")
     twist.deform_method, twist.deform_axis = "TWIST", "Z"

@@ -26,7 +26,7 @@ from scripts.common.whole import is_whole
 ROOT = Path(__file__).resolve().parents[2]
 
 # FILE.blend holds, as JSON, the seconds that a frame takes and frames that raise; machines have their own faults.
-STAND_IN = '''
+STAND_IN = """
 def render(args):
     import time
     told = json.loads(args.file.read_text())
@@ -41,7 +41,7 @@ def render(args):
     args.report.write_text(json.dumps({"device": "none", "version": f"{version_of(ROOT)} Blender 5"}))
 
 
-'''
+"""
 
 
 class Farm:
@@ -220,7 +220,7 @@ def test_frames_by_two_workers_are_those_of_one_process_to_the_bit(tmp_path: Pat
     words = [str(file), "--frames", "1-3", "--output"]
     alone = [sys.executable, str(ROOT / "scripts" / "render.py"), *words, str(tmp_path / "alone" / "shot.png")]
     subprocess.run(alone, check=True, capture_output=True, timeout=300)
-    together = [sys.executable, str(ROOT / "scripts" / "farm.py"), "render", *words, str(tmp_path / "both" / "shot.png")]
+    together = [sys.executable, str(ROOT / "scripts" / "farm.py"), "render", *words, str(tmp_path / "both/shot.png")]
     result = subprocess.run([*together, "--workers", "2"], capture_output=True, text=True, timeout=300, check=False)
     assert result.returncode == 0, result.stdout + result.stderr
     for frame in (1, 2, 3):
