@@ -1,14 +1,15 @@
 """Draw a film on many machines, or by several processes of one (dask.distributed).
 
     python scripts/farm.py render FILE.blend --frames 1-240 --output OUT.png|OUT.exr
-        [--scheduler tcp://HOST:8786 | --workers N] [--threads N] [-- further arguments of render.py]
+        [--scheduler tcp://HOST:8786 | --workers N] [--threads N] [--parts N] [-- further arguments of render.py]
     python scripts/farm.py scheduler [--port 8786]
     python scripts/farm.py worker tcp://HOST:8786
 
 Every machine sees FILE and OUT under the same paths. Each frame is a process of its own, and goes to another machine
-where one fails. Frames that are there are not drawn again, so that the same command goes on after whatever was killed.
-Beside the pictures, the folder OUT.farm holds a report of each frame, report.json of all, and caches that machines
-share. Exit codes: 0 all frames are there, 1 some failed, 2 a wrong argument.
+where one fails; with --parts so is each of N parts of a frame, which are joined. Frames that are there are not drawn
+again, so that the same command goes on after whatever was killed. Beside the pictures, the folder OUT.farm holds a
+report of each frame, report.json of all, and caches that machines share. Exit codes: 0 all frames are there, 1 some
+failed, 2 a wrong argument.
 """
 
 import argparse
@@ -16,6 +17,7 @@ import hashlib
 import json
 import logging
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -36,6 +38,7 @@ os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), *os.environ.get("PYTHONPA
 os.environ["DASK_DISTRIBUTED__SCHEDULER__WORK_STEALING"] = "False"
 
 from scripts.common import farm_task  # noqa: E402
+from scripts.common.farm_task import WHOLE  # noqa: E402
 from scripts.common.version import version_of  # noqa: E402
 from scripts.render import frames, output  # noqa: E402
 
@@ -49,6 +52,9 @@ PATIENCE = 5.0  # seconds between attempts to reach a scheduler
 GRACE = 120.0  # seconds in which another machine may come where none that is there can draw
 DASK = sys.executable, "-P", "-m"  # -P: scripts are those of this checkout, whatever the working folder has
 MOST_TRIES = 2  # machines on which a frame raises before it counts as failed
+
+
+Unit = tuple[int, int]  # a frame and a part of it, or WHOLE
 
 
 class ArgumentError(Exception):
@@ -81,12 +87,24 @@ class Film:
     def folder(self) -> Path:
         return Path(self.job["folder"])
 
-    def missing(self) -> list[int]:
-        there = [n for n in self.numbers if farm_task.picture(Path(self.job["output"]), n).exists()]
-        return [n for n in self.numbers if n not in there and n not in self.failed]
+    def missing(self) -> list[Unit]:
+        """What can be drawn now: whole frames, or parts; of a frame whose parts are all there, the frame."""
+        job, units = self.job, []
+        for frame in self.numbers:
+            if frame in self.failed or farm_task.is_there(job, frame, WHOLE):
+                continue
+            parts = range(1, job["parts"] + 1) if job["parts"] > 1 else ()
+            units += [(frame, part) for part in parts if not farm_task.is_there(job, frame, part)] or [(frame, WHOLE)]
+        return units
+
+    def left(self) -> int:
+        """How many frames, and parts of frames, are missing."""
+        units = self.missing()
+        joined = {frame for frame, part in units if part != WHOLE}
+        return len(units) + len(joined)
 
     def drawn(self, found: dict) -> None:
-        """Note a frame, and say how far the film is. All machines draw what the first one drew with."""
+        """Note a frame or part, and say how far the film is. All machines draw what the first one drew with."""
         if found["state"] == "drawn":
             self.ended.append(found)
             if "Blender" not in self.job["require"]:
@@ -94,12 +112,16 @@ class Film:
                 keep_job(self.job)
             for warning in found["report"].get("warnings", []):
                 say(f"frame {found['frame']}: warning: {warning}")
-        left = len(self.missing())
+        left = self.left()
         rate = (time.time() - self.begun) / max(len(self.ended), 1)
         seconds = f"{found['ended'] - found['begun']:.1f} s"
-        done = len(self.numbers) - left - len(self.failed)
+        done = sum(farm_task.is_there(self.job, frame, WHOLE) for frame in self.numbers)
         more = f", about {timedelta(seconds=round(rate * left))} left" if left else ""
-        say(f"frame {found['frame']} on {found['machine']} in {seconds}; {done} of {len(self.numbers)}{more}")
+        say(f"{name(found)} on {found['machine']} in {seconds}; {done} of {len(self.numbers)}{more}")
+
+    def fail_all(self, units: list[Unit], message: str) -> None:
+        for frame in dict.fromkeys(frame for frame, _ in units):
+            self.fail(frame, message)
 
     def fail(self, frame: int, message: str) -> None:
         self.failed[frame] = message
@@ -111,7 +133,7 @@ class Film:
         machines: dict[str, dict] = defaultdict(lambda: {"frames": [], "seconds": 0.0, "waiting": 0.0})
         for found in self.ended:
             row = machines[found["machine"]]
-            row["frames"].append(found["frame"])
+            row["frames"].append(found["frame"] if found["part"] == WHOLE else [found["frame"], found["part"]])
             row["seconds"] += found["ended"] - found["begun"]
         for row in machines.values():
             row["waiting"] = max(0.0, seconds - row["seconds"])
@@ -124,10 +146,15 @@ class Film:
             "machines": machines,
             "devices": devices,
             "version": self.job["require"],
-            "missing": self.missing(),
+            "missing": sorted({frame for frame, _ in self.missing()}),
             "failed": self.failed,
         }
         farm_task.write(self.folder / "report.json", json.dumps(whole, indent=1))
+
+
+def name(found: dict) -> str:
+    """Of a frame or part, for people."""
+    return f"frame {found['frame']}" + (f", part {found['part']}," if found["part"] != WHOLE else "")
 
 
 def keep_job(job: dict) -> None:
@@ -147,6 +174,7 @@ def film_of(args: argparse.Namespace) -> Film:
         "folder": str(folder),
         "arguments": args.arguments,
         "require": version_of(ROOT),
+        "parts": args.parts,
         "threads": args.threads or (max(1, (os.cpu_count() or 1) // args.workers) if args.workers else None),
     }
     film = Film(job, list(args.frames), args.scheduler is not None)
@@ -156,12 +184,14 @@ def film_of(args: argparse.Namespace) -> Film:
         before = None
     if before is not None and before["require"].split()[0] == job["require"]:
         job["require"] = before["require"]
-    same = before is not None and all(before[key] == job[key] for key in ("digest", "arguments", "require"))
-    if not same and len(film.missing()) < len(film.numbers):
+    same = before is not None and all(before[key] == job[key] for key in ("digest", "arguments", "parts", "require"))
+    if not same and any(args.output.parent.glob(f"{args.output.stem}_[0-9]*{args.output.suffix}")):
         raise ArgumentError(
             f"pictures that lie in {args.output.parent} are of another file, other arguments or another version of "
             f"PointSplat; delete them and {folder}, or choose another --output"
         )
+    if not same:
+        shutil.rmtree(folder, ignore_errors=True)  # parts of another picture
     folder.mkdir(parents=True, exist_ok=True)
     keep_job(job)
     return film
@@ -202,9 +232,9 @@ def draw_missing(client: distributed.Client, film: Film) -> None:
 
     LostError: the scheduler is gone."""
     refused: dict[str, str] = {}  # why, by address of the machine
-    tried: dict[int, dict[str, str]] = defaultdict(dict)  # what each machine said that failed, by frame
+    tried: dict[Unit, dict[str, str]] = defaultdict(dict)  # what each machine said that failed
     waiting = film.missing()
-    running: dict[distributed.Future, int] = {}
+    running: dict[distributed.Future, Unit] = {}
     alone, idle = True, 0.0  # idle: since when no machine that is there can draw
     while waiting or running:
         able = [address for address in _workers(client) if address not in refused]
@@ -215,32 +245,37 @@ def draw_missing(client: distributed.Client, film: Film) -> None:
             idle = time.monotonic()
         elif refused and time.monotonic() - idle > (GRACE if film.shared else 0):
             reasons = "; ".join(sorted(set(refused.values())))
-            for frame in waiting:
-                film.fail(frame, f"no machine can draw it: {reasons}")
+            film.fail_all(waiting, f"no machine can draw it: {reasons}")
             return
         while waiting and len(running) < (1 if alone else len(able)) and able:
-            frame = waiting.pop(0)
-            others = [address for address in able if address not in tried[frame]]
+            unit = waiting.pop(0)
+            others = [address for address in able if address not in tried[unit]]
             # Anyone may draw it where all of these are gone by then.
-            where = {"workers": others, "allow_other_workers": True} if refused or tried[frame] else {}
-            running[client.submit(farm_task.draw, film.job, frame, pure=False, **where)] = frame
+            where = {"workers": others, "allow_other_workers": True} if refused or tried[unit] else {}
+            running[client.submit(farm_task.draw, film.job, *unit, pure=False, **where)] = unit
         for future in _ended(list(running)):
-            frame = running.pop(future)
-            found, address = _result(future, frame)
+            unit = running.pop(future)
+            found, address = _result(future, unit)
+            if found["frame"] in film.failed:  # by another part
+                continue
             if found["state"] in ("drawn", "there"):
                 alone = False
                 film.drawn(found)
+                frame = found["frame"]
+                if found["part"] != WHOLE and (frame, WHOLE) in film.missing():  # all parts are there
+                    waiting.insert(0, (frame, WHOLE))
                 continue
-            tried[frame][address] = found["message"]
-            say(f"frame {frame} on {found['machine']}: {found['message']}")
+            tried[unit][address] = found["message"]
+            say(f"{name(found)} on {found['machine']}: {found['message']}")
             if found["state"] == "refused":
                 refused[address] = f"{found['machine']}: {found['message']}"
-                waiting.insert(0, frame)
-            elif len(tried[frame]) < MOST_TRIES and set(able) - set(tried[frame]) - set(refused):
-                waiting.insert(0, frame)
+                waiting.insert(0, unit)
+            elif len(tried[unit]) < MOST_TRIES and set(able) - set(tried[unit]) - set(refused):
+                waiting.insert(0, unit)
             else:
                 alone = False
-                film.fail(frame, found["message"])
+                film.fail(found["frame"], found["message"])
+                waiting = [other for other in waiting if other[0] != found["frame"]]
 
 
 def _workers(client: distributed.Client) -> list[str]:
@@ -267,12 +302,13 @@ def _ended(running: list[distributed.Future]) -> list[distributed.Future]:
     return list(done)
 
 
-def _result(future: distributed.Future, frame: int) -> tuple[dict, str]:
+def _result(future: distributed.Future, unit: Unit) -> tuple[dict, str]:
     """What farm_task.draw returned and the address of the worker that did; "failed" where workers died of it."""
     try:
         found = future.result()
     except distributed.KilledWorker as error:
-        found = {"state": "failed", "frame": frame, "machine": error.last_worker.name, "message": str(error)}
+        found = {"state": "failed", "machine": error.last_worker.name, "message": str(error)}
+        found |= {"frame": unit[0], "part": unit[1]}
     except (OSError, distributed.CancelledError) as error:
         raise LostError("the connection was lost") from error
     return found, found.get("address", found["machine"])
@@ -284,7 +320,7 @@ def _result(future: distributed.Future, frame: int) -> tuple[dict, str]:
 def render(args: argparse.Namespace) -> int:
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is said here
     film = film_of(args)
-    say(f"{len(film.missing())} of {len(film.numbers)} frames are missing")
+    say(f"{len({frame for frame, _ in film.missing()})} of {len(film.numbers)} frames are missing")
     try:
         while film.missing():
             try:
@@ -325,6 +361,7 @@ def arguments(argv: list[str]) -> argparse.Namespace:
     where = film.add_mutually_exclusive_group()
     where.add_argument("--scheduler", metavar="tcp://HOST:PORT")
     where.add_argument("--workers", type=int, default=0, metavar="N", help="processes on this machine (default: 1)")
+    film.add_argument("--parts", type=int, default=1, metavar="N", help="of each frame, drawn by themselves")
     film.add_argument("--threads", type=int, metavar="N", help="of each process (default: all, shared by --workers)")
     film.set_defaults(verb=render)
     main = verbs.add_parser("scheduler", help="share out frames among machines")

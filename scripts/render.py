@@ -2,11 +2,14 @@
 
     python scripts/render.py FILE.blend --output OUT.png|OUT.exr [--frame N | --frames A-B] [--size WxH]
         [--camera NAME] [--device auto|blender_gpu|opengl] [--set NAME=VALUE ...] [--threads N] [--report R.json]
-        [--cache DIR] [--strict] [--require VERSION]
+        [--cache DIR] [--strict] [--require VERSION] [--part K/N | --join N] [--parts DIR]
     blender -b --python scripts/render.py -- FILE.blend --output OUT.png ...
 
 --set writes scene.pointsplat.NAME. With --frames, the frame's number goes before the ending of OUT (out_0001.png) and
 the report is a list. A picture is written under another name and renamed when it is whole.
+
+A large picture may be drawn in parts, --part 1/8 to 8/8, by several processes into a folder (--parts, OUT.parts by
+default), and joined by --join 8: it is the picture of one process to the bit.
 
 For farms: --cache names the folder of hierarchies that machines share, --strict takes a missing file for an error, and
 --require asks for a version of PointSplat, perhaps with that of Blender ("0.1.0+1f2e3d4c Blender 5.2.3"; reports have
@@ -23,6 +26,7 @@ import shutil
 import sys
 import threading
 from pathlib import Path
+from typing import NoReturn
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))  # run as a file, also by Blender: neither knows the checkout
@@ -67,6 +71,13 @@ def assignment(text: str) -> tuple[str, str]:
     return name.strip(), value.strip()
 
 
+def part(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d+)/(\d+)", text)
+    if not match or not 1 <= int(match[1]) <= int(match[2]):
+        raise argparse.ArgumentTypeError(f"{text!r} is no part such as 3/8")
+    return int(match[1]), int(match[2])
+
+
 def output(text: str) -> Path:
     path = Path(text).resolve()
     if path.suffix.lower() not in FORMATS:
@@ -88,6 +99,10 @@ def arguments(argv: list[str]) -> argparse.Namespace:
     parser.add_argument("--threads", type=int, metavar="N", help="of drawing without a GPU, numpy and Blender")
     parser.add_argument("--report", type=Path, metavar="R.json")
     parser.add_argument("--cache", type=Path, metavar="DIR", help="default: the extension's preferences")
+    piece = parser.add_mutually_exclusive_group()
+    piece.add_argument("--part", type=part, metavar="K/N", help="draw the K-th of N parts of one picture")
+    piece.add_argument("--join", type=int, metavar="N", help="join N parts, which stay")
+    parser.add_argument("--parts", type=Path, metavar="DIR", help="folder of the parts (default: OUT.parts)")
     parser.add_argument("--strict", action="store_true", help="a file that the scene needs and that is missing ends it")
     parser.add_argument("--require", metavar="VERSION", help="end where PointSplat is of another version")
     parser.add_argument("--end-with-input", action="store_true", help="end when the standard input does")
@@ -235,15 +250,52 @@ def render_frame(scene, frame: int, path: Path, engine, strict: bool = False) ->
             raise MachineError(f"frame {frame}: the picture could not be written whole to {path.parent}; is it full?")
         os.replace(part, path)
     except (RuntimeError, OSError) as error:
-        full = (isinstance(error, OSError) and error.errno == errno.ENOSPC) or "No space left" in str(error)
-        if full or shutil.disk_usage(path.parent).free == 0:
-            raise MachineError(f"frame {frame}: no space is left in {path.parent}") from error
-        kind = MachineError if reported.get("failed") == "device" else RuntimeError
-        raise kind(f"frame {frame}: {str(error).strip()}") from error
+        failed(frame, error, reported, path.parent)
     finally:
         part.unlink(missing_ok=True)
     print(f"Saved: '{path}'", flush=True)
     return {**reported, "version": version(engine)}
+
+
+def render_parts(scene, args: argparse.Namespace, engine) -> dict:
+    """Draw a part of one picture, or join its parts; the report.
+
+    RuntimeError, MachineError: as of render_frame. ArgumentError: several frames are asked for."""
+    import bpy
+
+    if args.frames:
+        raise ArgumentError("--part and --join are for one picture: name it with --frame")
+    frame = scene.frame_current if args.frame is None else args.frame
+    folder = (args.parts or args.output.with_suffix(".parts")).resolve()
+    package = engine.__module__.rpartition(".")[0]
+    asking = sys.modules[f"{package}.parts"]
+    if args.join:
+        asking.asked = asking.Parts(folder, args.join, None)
+        return render_frame(scene, frame, args.output, engine, args.strict)
+    index, count = args.part
+    asking.asked = asking.Parts(folder, count, index - 1)
+    scene.render.use_compositing = scene.render.use_sequencer = False
+    scene.frame_set(frame)
+    if args.strict:
+        check_files()
+    reported = sys.modules[engine.__module__].last_report
+    reported.clear()
+    try:
+        bpy.ops.render.render()
+        if "technique" not in reported:
+            raise RuntimeError("it was not rendered")
+    except RuntimeError as error:
+        failed(frame, error, reported, folder)
+    return {**reported, "version": version(engine)}
+
+
+def failed(frame: int, error: Exception, reported: dict, folder: Path) -> NoReturn:
+    """Raise MachineError where nothing draws or no space is left in a folder, else RuntimeError."""
+    full = (isinstance(error, OSError) and error.errno == errno.ENOSPC) or "No space left" in str(error)
+    if full or (folder.exists() and shutil.disk_usage(folder).free == 0):
+        raise MachineError(f"frame {frame}: no space is left in {folder}") from error
+    kind = MachineError if reported.get("failed") == "device" else RuntimeError
+    raise kind(f"frame {frame}: {str(error).strip()}") from error
 
 
 def numbered(path: Path, frame: int) -> Path:
@@ -256,7 +308,9 @@ def render(args: argparse.Namespace) -> None:
         raise MachineError(f"this machine has PointSplat {found}, and {args.require} is asked for")
     scene = open_file(args.file)
     prepare(scene, args)
-    if args.frames:
+    if args.part or args.join:
+        report = render_parts(scene, args, engine)
+    elif args.frames:
         report = [render_frame(scene, f, numbered(args.output, f), engine, args.strict) for f in args.frames]
     else:
         frame = scene.frame_current if args.frame is None else args.frame

@@ -1,8 +1,11 @@
-"""What one machine of a farm does: it draws one frame in a process of its own, and puts it where the film lies."""
+"""What one machine of a farm does: it draws a frame, or a part of one, in a process of its own, and puts it where the
+film lies.
+"""
 
 import contextlib
 import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -14,6 +17,7 @@ from pathlib import Path
 import distributed
 
 ROOT = Path(__file__).resolve().parents[2]  # each machine's own
+WHOLE = 0  # the "part" that is a frame
 RENDERED, FAILED = 0, 1  # exit codes of render.py; others speak of the machine or of the arguments
 LAST_LINES = 6  # of what a process said that says nothing of its end
 
@@ -22,19 +26,26 @@ def machine() -> str:
     return f"{socket.gethostname()}:{os.getpid()}"
 
 
-def draw(job: dict, frame: int) -> dict:
-    """Draw one frame of a film unless it is there; what became of it.
+def draw(job: dict, frame: int, part: int) -> dict:
+    """Draw one frame of a film, or one part of it, unless it is there; what became of it.
 
     job: `file`, `output` (paths that every machine has), `folder` (of the farm's own files), `arguments` (further ones
-    of render.py), `require` (version) and `threads` (None: all).
+    of render.py), `require` (version), `threads` (None: all) and `parts` (of each frame). part: its number from 1 on;
+    WHOLE for the frame, which is joined where it has parts.
     Returns "state": "drawn", "there" (another machine was first), "failed" (the render raised) or "refused" (this
     machine cannot draw it), with "machine", "begun" and "ended" (seconds since 1970 of this machine's clock),
     "processor" (seconds of processor time, where the system counts it), and "message" or "report".
     """
-    begun, target, before = time.time(), picture(Path(job["output"]), frame), os.times()
-    found = {"frame": frame, "machine": machine(), "address": distributed.get_worker().address, "begun": begun}
+    begun, before = time.time(), os.times()
+    found = {
+        "frame": frame,
+        "part": part,
+        "machine": machine(),
+        "address": distributed.get_worker().address,
+        "begun": begun,
+    }
     try:
-        found |= {"state": "there"} if target.exists() else _drawn(job, frame, target)
+        found |= {"state": "there"} if is_there(job, frame, part) else _drawn(job, frame, part)
     except OSError as error:
         found |= {"state": "refused", "message": f"{type(error).__name__}: {error}"}
     after = os.times()
@@ -47,12 +58,20 @@ def picture(output: Path, frame: int) -> Path:
     return output.with_name(f"{output.stem}_{frame:04d}{output.suffix}")
 
 
-def report_path(folder: Path, frame: int) -> Path:
-    return folder / f"{frame:04d}.json"
+def is_there(job: dict, frame: int, part: int) -> bool:
+    return (picture(Path(job["output"]), frame) if part == WHOLE else _report_path(job, frame, part)).exists()
 
 
-def _drawn(job: dict, frame: int, target: Path) -> dict:
-    folder = Path(job["folder"])
+def _parts(job: dict, frame: int) -> Path:
+    return Path(job["folder"]) / f"{frame:04d}.parts"
+
+
+def _report_path(job: dict, frame: int, part: int) -> Path:
+    return Path(job["folder"]) / f"{frame:04d}.json" if part == WHOLE else _parts(job, frame) / f"{part}.json"
+
+
+def _drawn(job: dict, frame: int, part_number: int) -> dict:
+    folder, target = Path(job["folder"]), picture(Path(job["output"]), frame)
     # Beside the film, so that renaming moves no bytes; unknown to others, so that nobody else writes there.
     part = folder / "parts" / f"{uuid.uuid4().hex}{target.suffix}"
     told = part.with_suffix(".json")
@@ -61,14 +80,20 @@ def _drawn(job: dict, frame: int, target: Path) -> dict:
     command += ["--frame", str(frame), "--report", str(told), "--cache", str(folder / "cache")]
     command += ["--strict", "--require", job["require"], "--end-with-input", *job["arguments"]]
     command += ["--threads", str(job["threads"])] if job["threads"] else []
+    if job["parts"] > 1:
+        how = ["--join", str(job["parts"])] if part_number == WHOLE else ["--part", f"{part_number}/{job['parts']}"]
+        command += [*how, "--parts", str(_parts(job, frame))]
     try:
         code, said = _run(command)
         if code != RENDERED:
             return {"state": "failed" if code == FAILED else "refused", "message": _reason(code, said)}
         report = json.loads(told.read_text(encoding="utf-8"))
         record = {"frame": frame, "machine": machine(), "report": report}
-        write(report_path(folder, frame), json.dumps(record, indent=1))
-        return {"state": "drawn" if publish(part, target) else "there", "report": report}
+        write(_report_path(job, frame, part_number), json.dumps(record, indent=1))
+        first = part_number != WHOLE or publish(part, target)
+        if part_number == WHOLE:
+            shutil.rmtree(_parts(job, frame), ignore_errors=True)
+        return {"state": "drawn" if first else "there", "report": report}
     finally:
         for path in (part, told):
             with contextlib.suppress(OSError):

@@ -37,7 +37,8 @@ def render(args):
     if args.frame in told.get("raises", []):
         raise RuntimeError(f"frame {args.frame}: Error: PointSplat: ConversionError: Cow: ValueError: broken")
     time.sleep(told.get("seconds", 0))
-    args.output.write_text(f"frame {args.frame}")
+    if not args.part:
+        args.output.write_text(f"frame {args.frame}")
     args.report.write_text(json.dumps({"device": "none", "version": f"{version_of(ROOT)} Blender 5"}))
 
 
@@ -177,6 +178,16 @@ def test_a_frame_that_raises_is_told_and_all_others_are_drawn(farm: Farm) -> Non
     assert list(report["failed"]) == ["2"]
     assert sorted(n for row in report["machines"].values() for n in row["frames"]) == [1, 3, 4]
     assert all(row["waiting"] >= 0 for row in report["machines"].values())
+
+
+def test_parts_of_a_frame_are_drawn_and_joined(farm: Farm) -> None:
+    farm.film()
+    code, said = ended(farm.render("--frames", "1-2", "--workers", 2, "--parts", 3))
+    assert code == 0, said
+    assert farm.pictures() == all_of(1, 2)
+    assert sorted(frame for frame, *_ in farm.calls()) == [1] * 4 + [2] * 4
+    assert "frame 2, part 3, on" in said
+    assert not list((farm.folder / "out" / "shot.farm").glob("*.parts"))
 
 
 def test_where_no_machine_can_draw_each_says_why(farm: Farm, monkeypatch: pytest.MonkeyPatch) -> None:
