@@ -241,7 +241,8 @@ def draw_missing(client: distributed.Client, film: Film) -> None:
         if able or running:
             idle = 0.0
         elif not idle:
-            say("waiting for workers: python scripts/farm.py worker ADDRESS starts one")
+            if film.shared:
+                say("waiting for machines: python scripts/farm.py worker ADDRESS starts one")
             idle = time.monotonic()
         elif refused and time.monotonic() - idle > (GRACE if film.shared else 0):
             reasons = "; ".join(sorted(set(refused.values())))

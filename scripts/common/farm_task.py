@@ -137,6 +137,7 @@ def publish(part: Path, target: Path) -> bool:
 
 def write(path: Path, text: str) -> None:
     """Write a text file that readers see whole or not at all. OSError: it cannot be written."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
     try:
         with part.open("w", encoding="utf-8") as file:
