@@ -262,9 +262,9 @@ def draw_missing(client: distributed.Client, film: Film) -> None:
             if found["state"] in ("drawn", "there"):
                 alone = False
                 film.drawn(found)
-                frame = found["frame"]
-                if found["part"] != WHOLE and (frame, WHOLE) in film.missing():  # all parts are there
-                    waiting.insert(0, (frame, WHOLE))
+                joined = found["frame"], WHOLE
+                if joined in film.missing() and joined not in [*waiting, *running.values()]:  # all parts are there
+                    waiting.insert(0, joined)
                 continue
             tried[unit][address] = found["message"]
             say(f"{name(found)} on {found['machine']}: {found['message']}")
