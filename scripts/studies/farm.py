@@ -1,12 +1,14 @@
 """What becomes of a film whose machines are killed while they draw it, and how much faster two draw than one.
 
     python -m scripts.studies.farm killed --folder WORK [--frames 48] [--seed 1]
+    python -m scripts.studies.farm faults --folder WORK [--frames 6]
     python -m scripts.studies.farm speed --folder WORK [--frames 8] [--turns 2]
 
 *killed* draws the film of scripts/demos/film.py in one process, then by four workers, of which two are killed at
 random moments, as is the scheduler, which is started again. It says how many frames differ in any bit, and how many
-were written more than once. *speed* draws it in turns by one worker and by two, each with one thread.
-docs/notes/farm.md has the results.
+were written more than once. *faults* has a good machine and four with a fault each, two of them by mounts of their own,
+for which it has to be root: it prints what the farm says. *speed* draws in turns by one worker and by two, each with
+one thread. docs/notes/farm.md has the results.
 """
 
 import argparse
@@ -65,12 +67,26 @@ class Watch(threading.Thread):
             time.sleep(0.01)
 
 
-def start(*words: str, log: Path) -> subprocess.Popen:
-    """A process of a session of its own, so that all below it can be killed at once."""
+def start(
+    *words: str, log: Path, farm: str = FARM, mount: str = "", environment: dict[str, str] | None = None
+) -> subprocess.Popen:
+    """A process of a session of its own, so that all below it can be killed at once. `mount`: a command of the shell,
+    whose mounts are its own."""
+    command = [sys.executable, farm, *words]
+    if mount:
+        command = ["unshare", "--mount", "sh", "-c", f'{mount}; exec "$@"', "sh", *command]
     with log.open("a") as file:
         return subprocess.Popen(
-            [sys.executable, FARM, *words], stdout=file, stderr=file, env=ONE_THREAD, start_new_session=True
+            command, stdout=file, stderr=file, env=ONE_THREAD | (environment or {}), start_new_session=True
         )
+
+
+def free_address() -> tuple[str, int]:
+    """Of a scheduler, and its port."""
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        port = found.getsockname()[1]
+    return f"tcp://127.0.0.1:{port}", port
 
 
 def kill(process: subprocess.Popen) -> None:
@@ -90,10 +106,7 @@ def killed(folder: Path, frames: int, seed: int) -> None:
 
     together.mkdir(parents=True)
     watch, log = Watch(together), folder / "farm.log"
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        port = found.getsockname()[1]
-    address = f"tcp://127.0.0.1:{port}"
+    address, port = free_address()
     scheduler = start("scheduler", "--port", str(port), log=log)
     workers = [start("worker", address, log=log) for _ in range(4)]
     words = "render", str(blend), "--frames", numbers, "--output", str(together / "shot.exr"), "--scheduler", address
@@ -125,6 +138,41 @@ def killed(folder: Path, frames: int, seed: int) -> None:
     print(f"files beside the pictures: {others}")
 
 
+def faults(folder: Path, frames: int) -> None:
+    here, out, other = folder / "file", folder / "out", folder / "other"
+    shutil.rmtree(out, ignore_errors=True)
+    shutil.rmtree(other, ignore_errors=True)
+    for made in (here, out):
+        made.mkdir(parents=True, exist_ok=True)
+    blend, log = film(here, frames), folder / "faults.log"
+    for name in ("scripts", "pointsplat_addon", "shaders", "blender_manifest.toml"):
+        source, target = ROOT / name, other / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        (shutil.copytree if source.is_dir() else shutil.copy)(source, target)
+    (other / "shaders" / "another.frag").write_text("// of another version")
+    address, port = free_address()
+    no_driver = {"__EGL_VENDOR_LIBRARY_FILENAMES": str(folder / "none")}
+    processes = [
+        start("scheduler", "--port", str(port), log=log),
+        start("worker", address, log=log, environment=no_driver),
+        start("worker", address, log=log, mount=f"mount -t tmpfs none '{here}'"),
+        start("worker", address, log=log, mount=f"mount -t tmpfs -o size=16k none '{out}'"),
+        start("worker", address, log=log, farm=str(other / "scripts" / "farm.py")),
+    ]
+    words = "render", str(blend), "--frames", f"1-{frames}", "--output", str(out / "shot.exr"), "--scheduler", address
+    client = start(*words, "--threads", "1", log=folder / "faults_client.log")
+    try:
+        time.sleep(30)  # in which only those with faults are there
+        processes.append(start("worker", address, log=log))
+        code = client.wait()
+    finally:
+        for process in (client, *processes):
+            if process.poll() is None:
+                kill(process)
+    print((folder / "faults_client.log").read_text())
+    print(f"exit code {code}; in the folder: {sorted(p.name for p in out.rglob('*'))}")
+
+
 def speed(folder: Path, frames: int, turns: int) -> None:
     blend = film(folder, 48)
     print("| workers | by the clock | processor time |\n|---|---|---|")
@@ -144,7 +192,7 @@ def speed(folder: Path, frames: int, turns: int) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["killed", "speed"])
+    parser.add_argument("what", choices=["killed", "faults", "speed"])
     parser.add_argument("--folder", type=Path, required=True)
     parser.add_argument("--frames", type=int)
     parser.add_argument("--seed", type=int, default=1)
@@ -154,6 +202,8 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     if options.what == "killed":
         killed(folder, options.frames or 48, options.seed)
+    elif options.what == "faults":
+        faults(folder, options.frames or 6)
     else:
         speed(folder, options.frames or 8, options.turns)
 
