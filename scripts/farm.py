@@ -88,23 +88,19 @@ class Film:
         return Path(self.job["folder"])
 
     def missing(self) -> list[Unit]:
-        """What can be drawn now: whole frames, or parts; of a frame whose parts are all there, the frame."""
-        job, units = self.job, []
-        for frame in self.numbers:
-            if frame in self.failed or farm_task.is_there(job, frame, WHOLE):
-                continue
-            parts = range(1, job["parts"] + 1) if job["parts"] > 1 else ()
-            units += [(frame, part) for part in parts if not farm_task.is_there(job, frame, part)] or [(frame, WHOLE)]
-        return units
+        """What can be drawn now, by what is on disk."""
+        return [unit for frame in self.numbers for unit in self.missing_of(frame)]
 
-    def left(self) -> int:
-        """How many frames, and parts of frames, are missing."""
-        units = self.missing()
-        joined = {frame for frame, part in units if part != WHOLE}
-        return len(units) + len(joined)
+    def missing_of(self, frame: int) -> list[Unit]:
+        """Of a frame: itself, or its parts; once these are all there, itself. Nothing where it is there or failed."""
+        if frame in self.failed or farm_task.is_there(self.job, frame, WHOLE):
+            return []
+        parts = range(1, self.job["parts"] + 1) if self.job["parts"] > 1 else ()
+        return [(frame, part) for part in parts if not farm_task.is_there(self.job, frame, part)] or [(frame, WHOLE)]
 
-    def drawn(self, found: dict) -> None:
-        """Note a frame or part, and say how far the film is. All machines draw what the first one drew with."""
+    def drawn(self, found: dict, left: int) -> None:
+        """Note a frame or part, and say how far the film is: `left` others are missing. All machines draw with what the
+        first one drew with."""
         if found["state"] == "drawn":
             self.ended.append(found)
             if "Blender" not in self.job["require"]:
@@ -112,12 +108,10 @@ class Film:
                 keep_job(self.job)
             for warning in found["report"].get("warnings", []):
                 say(f"frame {found['frame']}: warning: {warning}")
-        left = self.left()
         rate = (time.time() - self.begun) / max(len(self.ended), 1)
         seconds = f"{found['ended'] - found['begun']:.1f} s"
-        done = sum(farm_task.is_there(self.job, frame, WHOLE) for frame in self.numbers)
-        more = f", about {timedelta(seconds=round(rate * left))} left" if left else ""
-        say(f"{name(found)} on {found['machine']} in {seconds}; {done} of {len(self.numbers)}{more}")
+        more = f"{left} to go, about {timedelta(seconds=round(rate * left))}" if left else "the last one"
+        say(f"{name(found)} on {found['machine']} in {seconds}; {more}")
 
     def fail_all(self, units: list[Unit], message: str) -> None:
         for frame in dict.fromkeys(frame for frame, _ in units):
@@ -261,10 +255,10 @@ def draw_missing(client: distributed.Client, film: Film) -> None:
                 continue
             if found["state"] in ("drawn", "there"):
                 alone = False
-                film.drawn(found)
                 joined = found["frame"], WHOLE
-                if joined in film.missing() and joined not in [*waiting, *running.values()]:  # all parts are there
-                    waiting.insert(0, joined)
+                if joined in film.missing_of(found["frame"]) and joined not in [*waiting, *running.values()]:
+                    waiting.insert(0, joined)  # all its parts are there
+                film.drawn(found, len(waiting) + len(running))
                 continue
             tried[unit][address] = found["message"]
             say(f"{name(found)} on {found['machine']}: {found['message']}")

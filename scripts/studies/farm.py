@@ -27,7 +27,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from scripts.common.process import run
+from scripts.common.process import environment, run
 
 ROOT = Path(__file__).resolve().parents[2]
 FARM, RENDER = (str(ROOT / "scripts" / name) for name in ("farm.py", "render.py"))
@@ -68,16 +68,16 @@ class Watch(threading.Thread):
 
 
 def start(
-    *words: str, log: Path, farm: str = FARM, mount: str = "", environment: dict[str, str] | None = None
+    *words: str, log: Path, farm: str = FARM, mount: str = "", more: dict[str, str] | None = None
 ) -> subprocess.Popen:
     """A process of a session of its own, so that all below it can be killed at once. `mount`: a command of the shell,
-    whose mounts are its own."""
+    whose mounts are its own. `more`: of the environment."""
     command = [sys.executable, farm, *words]
     if mount:
         command = ["unshare", "--mount", "sh", "-c", f'{mount}; exec "$@"', "sh", *command]
     with log.open("a") as file:
         return subprocess.Popen(
-            command, stdout=file, stderr=file, env=ONE_THREAD | (environment or {}), start_new_session=True
+            command, stdout=file, stderr=file, env=ONE_THREAD | (more or {}), start_new_session=True
         )
 
 
@@ -154,7 +154,7 @@ def faults(folder: Path, frames: int) -> None:
     no_driver = {"__EGL_VENDOR_LIBRARY_FILENAMES": str(folder / "none")}
     processes = [
         start("scheduler", "--port", str(port), log=log),
-        start("worker", address, log=log, environment=no_driver),
+        start("worker", address, log=log, more=no_driver),
         start("worker", address, log=log, mount=f"mount -t tmpfs none '{here}'"),
         start("worker", address, log=log, mount=f"mount -t tmpfs -o size=16k none '{out}'"),
         start("worker", address, log=log, farm=str(other / "scripts" / "farm.py")),
@@ -176,6 +176,8 @@ def faults(folder: Path, frames: int) -> None:
 def speed(folder: Path, frames: int, turns: int) -> None:
     blend = film(folder, 48)
     print("| workers | by the clock | processor time |\n|---|---|---|")
+    # Compiled modules, which each process has to make where the environment forbids that they are kept.
+    compiled = environment(folder / "bytecode") | {"LP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     clock: dict[int, list[float]] = {1: [], 2: []}
     for _ in range(turns):
         for workers in (1, 2):
@@ -183,11 +185,13 @@ def speed(folder: Path, frames: int, turns: int) -> None:
             shutil.rmtree(out, ignore_errors=True)
             words = "render", str(blend), "--frames", f"1-{frames}", "--output", str(out / "shot.exr")
             command = [sys.executable, FARM, *words, "--workers", str(workers), "--threads", "1"]
-            subprocess.run(command, check=True, capture_output=True, env=ONE_THREAD)
+            subprocess.run(command, check=True, capture_output=True, env=compiled)
             report = json.loads((out / "shot.farm" / "report.json").read_text())
             clock[workers].append(report["seconds"])
             print(f"| {workers} | {report['seconds']:.1f} s | {report['processor']:.1f} s |", flush=True)
-    print(f"two over one, by the clock: {sum(clock[1]) / sum(clock[2]):.2f}")
+    print(
+        f"two over one: {sum(clock[1]) / sum(clock[2]):.2f} by the clock, {min(clock[1]) / min(clock[2]):.2f} at best"
+    )
 
 
 def main() -> None:
