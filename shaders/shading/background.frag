@@ -1,6 +1,6 @@
 // The world where nothing else is, added to what earlier samples left. PS_EVERYWHERE: that is all of the picture.
 // PS_AUXILIARY_ONLY: only passes beside Combined are drawn. PS_GROUPED: what lies behind open sub-samples, before these are
-// spread.
+// spread; PS_MATTES: and behind mattes, wherever they are.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/light/lights.glsl"
@@ -18,9 +18,11 @@ void main()
 {
 #if defined(PS_GROUPED)
   const float open = 1.0;
+#ifndef PS_MATTES
   if ((texelFetch(ps_second, ivec2(gl_FragCoord.xy), 0).x & PS_OPEN) == 0u) {
     discard;
   }
+#endif
 #elif defined(PS_EVERYWHERE)
   const float open = 1.0;
 #else

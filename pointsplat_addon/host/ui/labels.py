@@ -111,6 +111,22 @@ RADIUS_UNIT_ITEMS: dict[str, Item] = {
     ),
 }
 
+LIGHTING_ITEMS: dict[str, Item] = {
+    "CAPTURED": ("CAPTURED", "As Captured", "The light of the capture, whatever lamps there are"),
+    "SHADOWED": (
+        "SHADOWED",
+        "Shadow Receiver",
+        "The light of the capture, darker where other objects keep the light of lamps away. The world's light, which "
+        "casts no shadows, and all lamps are weighed as on a white surface",
+    ),
+    "RELIT": (
+        "RELIT",
+        "Relit",
+        "Captured colours are those of a dull surface, lit by lamps and the world, with shadows of everything. Its "
+        "normals are estimated: flat splats lie in their surface, round ones ask their neighbours",
+    ),
+}
+
 CLIP_ITEMS: list[Item] = [
     ("INSIDE", "Inside", "Points in any of the boxes"),
     ("OUTSIDE", "Outside", "Points in none of the boxes"),

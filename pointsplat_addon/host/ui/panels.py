@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import bpy
 
 from ...render.passes.outputs import PASSES
+from ..convert.captured import is_captured
 from ..convert.mesh import is_loose_vertices
 from . import last_render
 
@@ -238,6 +239,10 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
             layout.prop(ob.pointsplat, "ribbons")
             self._visibility(ob, layout)
             return
+        if ob.type == "POINTCLOUD" and is_captured(ob.data):
+            layout.prop(ob.pointsplat, "lighting")
+            self._visibility(ob, layout)
+            return
         is_points = ob.type == "POINTCLOUD" or (ob.type == "MESH" and is_loose_vertices(ob.data))
         if is_points:  # they are drawn as they are: nothing is sampled
             if ob.type == "POINTCLOUD":
@@ -251,6 +256,8 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
             row = layout.row()
             row.active = ob.pointsplat.primitive != "POLYGONS"
             row.prop(ob.pointsplat, "spacing")
+            if ob.type == "MESH":
+                layout.prop(ob.pointsplat, "is_matte")
         if ob.type in WITH_EXTINCTION or len(ob.particle_systems):
             layout.prop(ob.pointsplat, "extinction")
         self._visibility(ob, layout)

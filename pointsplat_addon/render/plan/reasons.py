@@ -38,6 +38,7 @@ PASSES: dict[str, str] = {
     "shade": "light on what is opaque",
     "backdrop": "a picture of the world that is out of focus, once for a view",
     "background": "the world where nothing else is",
+    "mattes": "what shows through meshes that stand for captured surfaces, and shadows on these",
     "spread": "groups brought to pixels by the pixel filter",
     "reach": "how much of each light reaches translucent splats, for all views",
     "captured": "captured splats projected, once for a view",
@@ -49,6 +50,7 @@ PASSES: dict[str, str] = {
     "translucent": "splats blended back to front",
     "enlarge": "a coarse translucent picture to the size of the fine one",
     "difference": "what translucent splats change in a layer, by the pixel filter",
+    "captured depth": "where captured splats have hidden half of the light behind them",
     "add": "a sample with what is translucent to the sums",
     "eye dome": "pixels darkened by what lies in front of their neighbours",
     "adapt": "tiles whose samples agree are found",
@@ -115,6 +117,10 @@ def reasons(plan: Plan, passes: frozenset[str], absences: Absences) -> dict[str,
         found["averages"] = "no auxiliary pass averages what is painted"
     if not plan.shaded.solid:
         found["shade"] = "points are painted" if plan.painter else "nothing opaque is drawn"
+    if plan.translucent is None or not plan.translucent.depth:
+        found["captured depth"] = "nothing is a captured splat whose depth is asked for"
+    if not plan.matte_light.lit:
+        found["mattes"] = "no mesh stands for captured surfaces"
     if not plan.backdrop:
         found["backdrop"] = absences.blurred_world
     if not plan.background:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ...core.lod.captured.cut import CapturedCut, cut_captured
@@ -37,6 +39,28 @@ def captured_instances(scene: Scene, usable: np.ndarray) -> tuple[int, ...]:
         if geometry.captured is not None and len(geometry.captured)
     )
     return tuple(row for rows in shown for row in rows)
+
+
+def lit_captured(scene: Scene, instances: tuple[int, ...]) -> tuple[int, ...]:
+    """Returns the rows of the geometries of these instances whose splats light changes."""
+    rows = dict.fromkeys(scene.instances.geometry[list(instances)].tolist())
+    return tuple(row for row in rows if scene.geometries[row].lighting != "CAPTURED")
+
+
+def casting_on_captured(scene: Scene, row: int) -> Scene:
+    """Returns a scene whose shadows are those that fall on the captured splats of a geometry: captured light has those
+    of the capture itself. Mattes stand for captured surfaces."""
+    instances = scene.instances
+    own = scene.geometries[row].lighting == "SHADOWED"
+    return casting_alone(scene, instances.geometry != row if own else np.ones(len(instances), bool))
+
+
+def casting_alone(scene: Scene, which: np.ndarray) -> Scene:
+    """Returns a scene in which of some instances, (I,) bool, those cast shadows that did, and are no mattes."""
+    instances = scene.instances
+    casts = which if instances.casts is None else which & instances.casts.astype(bool)
+    casts = casts if instances.matte is None else casts & ~instances.matte
+    return replace(scene, instances=replace(instances, casts=casts))
 
 
 def captured_nodes(view: View, instances: tuple[int, ...], view_from_object: np.ndarray) -> dict[int, CapturedNodes]:

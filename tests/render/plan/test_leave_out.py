@@ -95,6 +95,11 @@ EXPECTED = {
     "visibility buffer, smoke alone": "order background " + BLENDED,
     "captured splats": "order captured background translucent add",
     "captured splats from far away": "order captured background translucent add",
+    "captured splats, relit and shadowed, and a cube": "shadows order shadow+maps captured polygons background "
+    "translucent expand difference add " + GROUPED,
+    "captured splats, a matte and a cube": "shadows order shadow+maps captured polygons background mattes "
+    "translucent expand difference add " + GROUPED,
+    "captured splats, depth": "order captured background translucent captured+depth add",
     "captured splats in smoke": "order captured background " + BLENDED,
     "visibility buffer, captured splats, smoke and a cube": "order captured polygons background " + GROUPED + LAYERS,
     "visibility buffer, points and polygons, out of focus, depth": "cover polygons data light tiles defocus " + GROUPED,

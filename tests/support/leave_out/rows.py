@@ -166,6 +166,9 @@ ROWS: dict[str, Row] = {
     "visibility buffer, smoke alone": Row(lambda: with_settings(translucent_cases.in_smoke(), technique="VISIBILITY")),
     "captured splats": Row(lambda: with_settings(captured_cases.captured_alone(), technique="VISIBILITY"), samples=16),
     "captured splats from far away": Row(captured_cases.captured_far),
+    "captured splats, relit and shadowed, and a cube": Row(captured_cases.captured_lit),
+    "captured splats, a matte and a cube": Row(captured_cases.captured_matte),
+    "captured splats, depth": Row(captured_cases.captured_alone, COMBINED | {"depth"}),
     "captured splats in smoke": Row(captured_cases.captured_in_smoke),
     "visibility buffer, captured splats, smoke and a cube": Row(captured_cases.captured_among),
     "visibility buffer, points and polygons, out of focus, depth": Row(

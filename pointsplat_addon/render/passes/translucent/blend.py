@@ -47,6 +47,9 @@ def draw_program(options: TranslucentOptions, channel: str, listed: bool = False
         defines += [("PS_CAPTURED", "1"), *((name, repr(value)) for name, value in constants.items())]
     if options.nodes:
         defines.append(("PS_NODES", "1"))
+    if options.mattes and options.opaque:
+        varyings.append(("flat", "float", "v_size"))
+        defines.append(("PS_MATTES", "1"))
     if options.tiled:
         read.append("tiles")
         defines += [("PS_TILED", "1"), TILE_DEFINE]
