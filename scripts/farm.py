@@ -124,11 +124,12 @@ class Film:
     def write_report(self) -> None:
         """report.json: what this call did, and which machines drew the frames that are there."""
         seconds = time.time() - self.begun
-        machines: dict[str, dict] = defaultdict(lambda: {"frames": [], "seconds": 0.0, "waiting": 0.0})
+        machines: dict[str, dict] = defaultdict(lambda: {"frames": [], "seconds": 0.0, "processor": 0.0})
         for found in self.ended:
             row = machines[found["machine"]]
             row["frames"].append(found["frame"] if found["part"] == WHOLE else [found["frame"], found["part"]])
             row["seconds"] += found["ended"] - found["begun"]
+            row["processor"] += found["processor"]
         for row in machines.values():
             row["waiting"] = max(0.0, seconds - row["seconds"])
         devices = sorted({found["report"]["device"] for found in self.ended})

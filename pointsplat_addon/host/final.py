@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import threading
 import time
 from concurrent.futures import Future, wait
@@ -25,7 +24,7 @@ from ..render.renderer import Renderer
 from . import command_line, disk_cache, parts
 from .convert.camera import render_camera
 from .convert.objects import collect
-from .device import device_costs, gl_thread, main_gpu
+from .device import device_costs, gl_thread, libraries, main_gpu
 from .sync import Synchronizer
 from .ui import last_render
 
@@ -147,8 +146,9 @@ def _draw(engine: bpy.types.RenderEngine, scene: scene_module.Scene, request: Re
     order = ("BLENDER_GPU", "OPENGL") if setting == "BLENDER_GPU" else ("OPENGL", "BLENDER_GPU")
     problems = []
     for name in order:
-        if name == "BLENDER_GPU" and problems and bpy.app.background and sys.platform.startswith("linux"):
-            break  # without a window Blender's contexts come from the same EGL, and it crashes where there is none
+        if name == "BLENDER_GPU" and bpy.app.background and libraries.lacks_egl():
+            problems.append(f"{LIBRARY_NAMES[name]} is not available: there is no driver for EGL")
+            continue
         job = Job(scene, request)
         try:
             result = job.wait(engine, job.on_opengl() if name == "OPENGL" else job.on_blender(engine))
