@@ -117,6 +117,30 @@ def test_a_render_that_raises_exits_with_an_error_and_leaves_no_file(error: str,
     assert list(tmp_path.iterdir()) == []
 
 
+RAISES_FOR_AN_OBJECT = """
+import runpy, sys
+sys.argv = sys.argv[1:]
+sys.path.insert(0, {root!r})
+from pointsplat_addon.host import geometries
+
+def fail(self, source, rows, table):
+    raise ValueError("broken")
+
+geometries.Geometries._convert_surface = fail
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+
+
+def test_what_raises_is_told_with_its_frame_and_object(files: Path, tmp_path: Path) -> None:
+    code = RAISES_FOR_AN_OBJECT.format(root=str(ROOT))
+    words = [str(files / "cube.blend"), "--frame", "7", "--output", str(tmp_path / "c.png")]
+    command = [sys.executable, "-c", code, str(ROOT / "scripts" / "render.py"), *words]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert result.returncode == 1, result.stdout + result.stderr
+    assert "frame 7: Error: PointSplat: ConversionError: Cube: ValueError: broken" in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_parts_are_joined_to_the_picture_of_one_process(files: Path, tmp_path: Path) -> None:
     words = files / "cube.blend", "--set", "samples=1"
     assert render(*words, "--output", tmp_path / "whole.png").returncode == 0
