@@ -1,23 +1,39 @@
 """Render a .blend file with PointSplat, with nothing but the bpy package (or inside Blender itself).
 
     python scripts/render.py FILE.blend --output OUT.png|OUT.exr [--frame N | --frames A-B] [--size WxH]
-        [--camera NAME] [--device auto|blender_gpu|opengl] [--set NAME=VALUE ...] [--report R.json]
+        [--camera NAME] [--device auto|blender_gpu|opengl] [--set NAME=VALUE ...] [--threads N] [--report R.json]
+        [--cache DIR] [--strict] [--require VERSION] [--part K/N | --join N] [--parts DIR]
     blender -b --python scripts/render.py -- FILE.blend --output OUT.png ...
 
 --set writes scene.pointsplat.NAME. With --frames, the frame's number goes before the ending of OUT (out_0001.png) and
-the report is a list. Exit codes: 0 rendered, 1 the render failed, 2 a wrong argument.
+the report is a list. A picture is written under another name and renamed when it is whole.
+
+A large picture may be drawn in parts, --part 1/8 to 8/8, by several processes into a folder (--parts, OUT.parts by
+default), and joined by --join 8: it is the picture of one process to the bit.
+
+For farms: --cache names the folder of hierarchies that machines share, --strict takes a missing file for an error, and
+--require asks for a version of PointSplat, perhaps with that of Blender ("0.1.0+1f2e3d4c Blender 5.2.3"; reports have
+it). Exit codes: 0 rendered, 1 the render failed, 2 a wrong argument, 3 this machine cannot render it: there is nothing
+to draw with, another version, a file is missing, or the disk is full.
 """
 
 import argparse
+import errno
 import json
+import os
 import re
+import shutil
 import sys
+import threading
 from pathlib import Path
+from typing import NoReturn
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))  # run as a file, also by Blender: neither knows the checkout
 
 from scripts.common.process import run  # noqa: E402
+from scripts.common.version import version_of  # noqa: E402
+from scripts.common.whole import is_whole  # noqa: E402
 
 FORMATS = {".png": "PNG", ".exr": "OPEN_EXR"}
 LARGEST_SIDE = 65536  # Blender's own limit of scene.render.resolution_x
@@ -25,6 +41,10 @@ LARGEST_SIDE = 65536  # Blender's own limit of scene.render.resolution_x
 
 class ArgumentError(Exception):
     """What was asked makes no sense; the message says what would."""
+
+
+class MachineError(Exception):
+    """This machine cannot render the file, another one may."""
 
 
 # ---------------------------------------------------------------------------- arguments
@@ -51,6 +71,13 @@ def assignment(text: str) -> tuple[str, str]:
     return name.strip(), value.strip()
 
 
+def part(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d+)/(\d+)", text)
+    if not match or not 1 <= int(match[1]) <= int(match[2]):
+        raise argparse.ArgumentTypeError(f"{text!r} is no part such as 3/8")
+    return int(match[1]), int(match[2])
+
+
 def output(text: str) -> Path:
     path = Path(text).resolve()
     if path.suffix.lower() not in FORMATS:
@@ -69,7 +96,16 @@ def arguments(argv: list[str]) -> argparse.Namespace:
     parser.add_argument("--camera", metavar="NAME", help="default: the scene's")
     parser.add_argument("--device", choices=["auto", "blender_gpu", "opengl"])
     parser.add_argument("--set", type=assignment, action="append", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--threads", type=int, metavar="N", help="of drawing without a GPU, numpy and Blender")
     parser.add_argument("--report", type=Path, metavar="R.json")
+    parser.add_argument("--cache", type=Path, metavar="DIR", help="default: the extension's preferences")
+    piece = parser.add_mutually_exclusive_group()
+    piece.add_argument("--part", type=part, metavar="K/N", help="draw the K-th of N parts of one picture")
+    piece.add_argument("--join", type=int, metavar="N", help="join N parts, which stay")
+    parser.add_argument("--parts", type=Path, metavar="DIR", help="folder of the parts (default: OUT.parts)")
+    parser.add_argument("--strict", action="store_true", help="a file that the scene needs and that is missing ends it")
+    parser.add_argument("--require", metavar="VERSION", help="end where PointSplat is of another version")
+    parser.add_argument("--end-with-input", action="store_true", help="end when the standard input does")
     return parser.parse_args(argv)
 
 
@@ -89,6 +125,27 @@ def engine_class():
 
         pointsplat_addon.register()
     return registered()
+
+
+def version(engine) -> str:
+    """Of PointSplat and Blender, such as "0.1.0+1f2e3d4c Blender 5.2.3"."""
+    import bpy
+
+    package = Path(sys.modules[engine.__module__.rpartition(".host.")[0]].__file__ or "").parent
+    return f"{version_of(package.parent)} Blender {bpy.app.version_string.split()[0]}"
+
+
+def check_files() -> None:
+    """MachineError: a file that the scene reads at the present frame is missing."""
+    import bpy
+
+    needed = [path for path in bpy.utils.blend_paths(absolute=True) if "<" not in path]  # those are tiles of an image
+    missing = {path for path in needed if not Path(path).exists()}
+    for instance in bpy.context.evaluated_depsgraph_get().object_instances:
+        if instance.object.type == "VOLUME" and not instance.object.data.grids.load():  # of sequences the frame's own
+            missing.add(f"{instance.object.name}: {instance.object.data.grids.error_message}")
+    if missing:
+        raise MachineError(f"files that the scene reads are missing: {', '.join(sorted(missing))}")
 
 
 def open_file(path: Path):
@@ -148,6 +205,8 @@ def prepare(scene, args: argparse.Namespace) -> None:
         scene.render.resolution_percentage = 100
     if args.device:
         scene.pointsplat.device = args.device.upper()
+    if args.threads:
+        scene.render.threads_mode, scene.render.threads = "FIXED", args.threads
     for name, text in args.set:
         setattr(scene.pointsplat, name, typed(scene.pointsplat, name, text))
 
@@ -160,29 +219,83 @@ def prepare(scene, args: argparse.Namespace) -> None:
     scene.render.use_file_extension = False  # the name is written as it was given
 
 
-def render_frame(scene, frame: int, path: Path, engine) -> dict:
+def render_frame(scene, frame: int, path: Path, engine, strict: bool = False) -> dict:
     """Render one frame into a file and return the engine's report. A render that fails leaves no file behind.
 
-    RuntimeError: the render failed, or Blender wrote nothing."""
+    RuntimeError: the render failed, or Blender wrote nothing. MachineError: there is nothing to draw with, or no space,
+    or, where `strict`, a file is missing.
+    """
     import bpy
 
+    print(f"Fra:{frame}", flush=True)
     scene.frame_set(frame)
-    scene.render.filepath = str(path)
+    if strict:
+        check_files()
     path.parent.mkdir(parents=True, exist_ok=True)
     path.unlink(missing_ok=True)
+    part = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    scene.render.filepath = str(part)
     reported = sys.modules[engine.__module__].last_report
     reported.clear()
     try:
         bpy.ops.render.render(write_still=True)
         # Blender takes a render for finished whatever became of it, and writes what there is: a black frame.
         if "technique" not in reported:
-            raise RuntimeError(f"frame {frame} was not rendered")
-    except RuntimeError:
-        path.unlink(missing_ok=True)
-        raise
-    if not path.is_file():
-        raise RuntimeError(f"Blender wrote no picture to {path}")
-    return dict(reported)
+            raise RuntimeError("it was not rendered")
+        if not part.is_file():
+            raise RuntimeError(f"Blender wrote no picture to {path}")
+        with part.open("rb+") as file:
+            os.fsync(file.fileno())  # what the file system could not keep is an error now
+        if not is_whole(part):
+            raise MachineError(f"frame {frame}: the picture could not be written whole to {path.parent}; is it full?")
+        os.replace(part, path)
+    except (RuntimeError, OSError) as error:
+        failed(frame, error, reported, path.parent)
+    finally:
+        part.unlink(missing_ok=True)
+    print(f"Saved: '{path}'", flush=True)
+    return {**reported, "version": version(engine)}
+
+
+def render_parts(scene, args: argparse.Namespace, engine) -> dict:
+    """Draw a part of one picture, or join its parts; the report.
+
+    RuntimeError, MachineError: as of render_frame. ArgumentError: several frames are asked for."""
+    import bpy
+
+    if args.frames:
+        raise ArgumentError("--part and --join are for one picture: name it with --frame")
+    frame = scene.frame_current if args.frame is None else args.frame
+    folder = (args.parts or args.output.with_suffix(".parts")).resolve()
+    package = engine.__module__.rpartition(".")[0]
+    asking = sys.modules[f"{package}.parts"]
+    if args.join:
+        asking.asked = asking.Parts(folder, args.join, None)
+        return render_frame(scene, frame, args.output, engine, args.strict)
+    index, count = args.part
+    asking.asked = asking.Parts(folder, count, index - 1)
+    scene.render.use_compositing = scene.render.use_sequencer = False
+    scene.frame_set(frame)
+    if args.strict:
+        check_files()
+    reported = sys.modules[engine.__module__].last_report
+    reported.clear()
+    try:
+        bpy.ops.render.render()
+        if "technique" not in reported:
+            raise RuntimeError("it was not rendered")
+    except RuntimeError as error:
+        failed(frame, error, reported, folder)
+    return {**reported, "version": version(engine)}
+
+
+def failed(frame: int, error: Exception, reported: dict, folder: Path) -> NoReturn:
+    """Raise MachineError where nothing draws or no space is left in a folder, else RuntimeError."""
+    full = (isinstance(error, OSError) and error.errno == errno.ENOSPC) or "No space left" in str(error)
+    if full or (folder.exists() and shutil.disk_usage(folder).free == 0):
+        raise MachineError(f"frame {frame}: no space is left in {folder}") from error
+    kind = MachineError if reported.get("failed") == "device" else RuntimeError
+    raise kind(f"frame {frame}: {str(error).strip()}") from error
 
 
 def numbered(path: Path, frame: int) -> Path:
@@ -191,13 +304,17 @@ def numbered(path: Path, frame: int) -> Path:
 
 def render(args: argparse.Namespace) -> None:
     engine = engine_class()
+    if args.require and not f"{(found := version(engine))} ".startswith(f"{args.require} "):
+        raise MachineError(f"this machine has PointSplat {found}, and {args.require} is asked for")
     scene = open_file(args.file)
     prepare(scene, args)
-    if args.frames:
-        report = [render_frame(scene, f, numbered(args.output, f), engine) for f in args.frames]
+    if args.part or args.join:
+        report = render_parts(scene, args, engine)
+    elif args.frames:
+        report = [render_frame(scene, f, numbered(args.output, f), engine, args.strict) for f in args.frames]
     else:
         frame = scene.frame_current if args.frame is None else args.frame
-        report = render_frame(scene, frame, args.output, engine)
+        report = render_frame(scene, frame, args.output, engine, args.strict)
     if args.report:
         args.report.parent.mkdir(parents=True, exist_ok=True)
         args.report.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
@@ -205,17 +322,37 @@ def render(args: argparse.Namespace) -> None:
         print(f"render: warning: {warning}")
 
 
+def settle(args: argparse.Namespace) -> None:
+    """What has to be known before Blender, numpy and the driver are loaded."""
+    if args.threads:
+        for name in ("LP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+            os.environ[name] = str(args.threads)
+    if args.cache:
+        os.environ["POINTSPLAT_CACHE"] = str(args.cache.resolve())
+    if args.end_with_input:
+
+        def follow() -> None:
+            sys.stdin.buffer.read()
+            os._exit(1)
+
+        threading.Thread(target=follow, daemon=True).start()
+
+
 def main() -> int:
     # Blender hands its own arguments on as well; the script's come after "--".
     argv = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
     try:
         args = arguments(argv)
+        settle(args)
         render(args)
     except SystemExit as stop:  # argparse's own, after --help or a wrong argument
         return int(stop.code or 0)
     except ArgumentError as error:
         print(f"render: {error}", file=sys.stderr)
         return 2
+    except MachineError as error:
+        print(f"render: {error}", file=sys.stderr)
+        return 3
     except ModuleNotFoundError as error:
         if error.name != "bpy":
             raise

@@ -49,12 +49,13 @@ def path_of(folder: Path | str, key: str) -> Path:
     return Path(folder) / (hashlib.blake2b(key.encode(), digest_size=20).hexdigest() + SUFFIX)
 
 
-def write(folder: Path | str, key: str, hierarchy: Hierarchy) -> Path:
-    """Writes a hierarchy under `key`, quantised, and returns the file's path. Readers see the whole file or none.
+def write(folder: Path | str, key: str, hierarchy: Hierarchy | Packed) -> Path:
+    """Writes a hierarchy under `key`, quantised, and returns the file's path. Readers see the whole file or none, also
+    where the machine fails: the file gets its name when its bytes are on the disk.
 
     The folder is made if it is missing. Raises OSError where it cannot be written.
     """
-    packed = pack(hierarchy)
+    packed = hierarchy if isinstance(hierarchy, Packed) else pack(hierarchy)
     header = _header(packed)
     parts = [header, *(_bytes(a) for a in (packed.points, packed.nodes, packed.order.astype("<i4")))]
     fixed = FIXED.pack(MAGIC, VERSION, len(header), _digest(parts))
@@ -65,6 +66,8 @@ def write(folder: Path | str, key: str, hierarchy: Hierarchy) -> Path:
         with os.fdopen(handle, "wb") as file:
             for part in (fixed, *parts):
                 file.write(part)
+            file.flush()
+            os.fsync(file.fileno())
         os.replace(name, target)
     except BaseException:
         with contextlib.suppress(OSError):

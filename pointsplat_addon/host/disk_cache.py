@@ -7,8 +7,9 @@ from functools import partial
 from pathlib import Path
 
 from ..core.lod.hierarchy import LEAF_SIZE, Hierarchy, build
+from ..core.lod.quantisation import pack, unpack
 from ..core.scene.cloud import PointCloud
-from ..formats import hierarchy_cache
+from ..formats import file_lock, hierarchy_cache
 from .device import device_costs
 from .shared_store import STORE
 from .ui import preferences
@@ -21,28 +22,38 @@ MAX_BYTES = 8 << 30  # in the folder; the least recently used files are deleted 
 def refresh() -> None:
     """Apply the preferences. To be called on Blender's main thread before anything is drawn."""
     device_costs.read()
-    folder = preferences.cache_folder()
-    STORE.build_hierarchy = build if folder is None else partial(build_or_read, folder)
+    STORE.build_hierarchy = partial(build_or_read, preferences.cache_folder())
 
 
-def build_or_read(folder: Path, cloud: PointCloud) -> Hierarchy:
-    """The hierarchy of `cloud`, read from the folder if it is there, else built and written to it.
+def build_or_read(folder: Path | None, cloud: PointCloud) -> Hierarchy:
+    """The hierarchy of `cloud`, read from the folder if it is there, else built and written to it. Of several processes
+    one builds it and the others wait.
 
-    Errors of the folder are logged, and the hierarchy is built.
+    What was built is quantised as what is read: pictures are the same to the bit whatever a folder holds, and where
+    there is none. Errors of the folder are logged, and the hierarchy is built.
     """
     if len(cloud) < MIN_POINTS:
         return build(cloud)
+    if folder is None:
+        return unpack(pack(build(cloud)))
     key = hierarchy_cache.content_key(cloud, LEAF_SIZE)
-    try:
-        found = hierarchy_cache.read(folder, key)
-        if found is not None:
+    if (found := _known(folder, key)) is not None:
+        return found
+    with file_lock.held(hierarchy_cache.path_of(folder, key).with_suffix(file_lock.SUFFIX)):
+        if (found := _known(folder, key)) is not None:
             return found
+        packed = pack(build(cloud))
+        try:
+            hierarchy_cache.write(folder, key, packed)
+            hierarchy_cache.trim(folder, MAX_BYTES)
+        except OSError as error:
+            LOG.warning("A point hierarchy cannot be kept in %s: %s", folder, error)
+    return unpack(packed)
+
+
+def _known(folder: Path, key: str) -> Hierarchy | None:
+    try:
+        return hierarchy_cache.read(folder, key)
     except (OSError, hierarchy_cache.CacheError) as error:
         LOG.warning("A cached point hierarchy cannot be used: %s", error)
-    built = build(cloud)
-    try:
-        hierarchy_cache.write(folder, key, built)
-        hierarchy_cache.trim(folder, MAX_BYTES)
-    except OSError as error:
-        LOG.warning("A point hierarchy cannot be kept in %s: %s", folder, error)
-    return built
+    return None

@@ -8,7 +8,7 @@ import bpy
 import gpu
 
 from ..render.device.protocol import DeviceError
-from . import final
+from . import command_line, final
 from .device import libraries
 from .ui import last_render
 from .viewport import Viewport
@@ -40,15 +40,21 @@ class PointSplatEngine(bpy.types.RenderEngine):
         report = {}
         try:
             report = self._final.render(self, depsgraph)
-        except (final.RenderError, DeviceError) as error:
-            self.report({"ERROR"}, str(error))
         except Exception as error:
-            # Blender treats a render as finished when its engine raises.
-            LOG.exception("The render failed")
-            self.report({"ERROR"}, f"PointSplat: {type(error).__name__}: {error}")
+            self._fail(error)
+            report = {"failed": "device"} if isinstance(error, DeviceError) else {}
         if not self.is_preview:
             last_report.clear()
             last_report.update(report)
+
+    def _fail(self, error: Exception) -> None:
+        # Blender treats a render as finished when its engine raises.
+        message = str(error)
+        if not isinstance(error, final.RenderError | DeviceError):
+            LOG.error("The render failed", exc_info=error)
+            message = f"PointSplat: {type(error).__name__}: {error}"
+        self.report({"ERROR"}, message)
+        command_line.fail(message)
 
     def view_update(self, context, depsgraph):
         if self._viewport is None:

@@ -15,15 +15,16 @@ import numpy as np
 from ..core.numeric.cryptomatte import murmur3
 from ..core.scene import camera as camera_module
 from ..core.scene import scene as scene_module
+from ..core.scene.settings import Settings
 from ..core.splat.pixel_radii import with_pixel_radii
 from ..render.device.protocol import DeviceError
 from ..render.passes.outputs import BY_KEY, CRYPTO, PASSES
 from ..render.plan.request import Request, Result
 from ..render.renderer import Renderer
-from . import disk_cache
+from . import command_line, disk_cache, parts
 from .convert.camera import render_camera
 from .convert.objects import collect
-from .device import device_costs, gl_thread, main_gpu
+from .device import device_costs, gl_thread, libraries, main_gpu
 from .sync import Synchronizer
 from .ui import last_render
 
@@ -56,6 +57,7 @@ class FinalRender:
         previous = _previous(engine, depsgraph) if "vector" in wanted else None
         camera, warnings = _camera(engine, depsgraph)
         settings = depsgraph.scene_eval.pointsplat.settings()
+        command_line.use_threads(depsgraph.scene.render)
         if settings.device != "BLENDER_GPU":
             gl_thread.THREAD.prepare()  # while the scene is converted
         if previous is not None:
@@ -75,9 +77,10 @@ class FinalRender:
             FinalRender.last_scene = scene
         scene = with_pixel_radii(scene, camera)
         levels = depsgraph.view_layer_eval.pass_cryptomatte_depth
-        request = Request(camera, settings, wanted, settings.samples, crypto_levels=levels)
-        result, problems = _draw(engine, scene, request)
-        if not result.cancelled:
+        request = Request(camera, settings, wanted, settings.samples, crypto_levels=levels, part=_part(settings))
+        layer = depsgraph.scene.view_layers.find(depsgraph.view_layer.name)
+        result, problems = _drawn_or_joined(engine, scene, request, layer)
+        if not result.cancelled and request.part == (0, 1):
             _write(engine, depsgraph.view_layer_eval.name, scene, result, camera.window[2:])
         messages = dict.fromkeys((*warnings, *scene.warnings, *problems, *result.report.get("warnings", ())))
         if not engine.is_preview:
@@ -114,12 +117,38 @@ def _previous(
     return camera, dict(zip(collected.identity, collected.world_from_object, strict=True))
 
 
+def _part(settings: Settings) -> tuple[int, int]:
+    """The part of pictures that is asked for. RenderError: they cannot be drawn in parts."""
+    if parts.asked is None or parts.asked.index is None:
+        return 0, 1
+    if settings.budget != "NONE":
+        raise RenderError("A picture with a budget cannot be drawn in parts: each would keep another one")
+    return parts.asked.index, parts.asked.count
+
+
+def _drawn_or_joined(
+    engine: bpy.types.RenderEngine, scene: scene_module.Scene, request: Request, layer: int
+) -> tuple[Result, list[str]]:
+    """The picture, drawn or joined of its parts, and problems with the device; a part of it is kept as well."""
+    asked = parts.asked
+    if asked is not None and asked.index is None:
+        size = request.camera.window[2:]
+        return parts.joined(asked, layer, size, lambda text: engine.update_stats("", text)), []
+    result, problems = _draw(engine, scene, request)
+    if asked is not None and not result.cancelled:
+        parts.save(asked, layer, result)
+    return result, problems
+
+
 def _draw(engine: bpy.types.RenderEngine, scene: scene_module.Scene, request: Request) -> tuple[Result, list[str]]:
     """Draw on the device of the settings, else on the other one, with a warning. Raises DeviceError if neither can."""
     setting = request.settings.device
     order = ("BLENDER_GPU", "OPENGL") if setting == "BLENDER_GPU" else ("OPENGL", "BLENDER_GPU")
     problems = []
     for name in order:
+        if name == "BLENDER_GPU" and bpy.app.background and libraries.lacks_egl():
+            problems.append(f"{LIBRARY_NAMES[name]} is not available: there is no driver for EGL")
+            continue
         job = Job(scene, request)
         try:
             result = job.wait(engine, job.on_opengl() if name == "OPENGL" else job.on_blender(engine))

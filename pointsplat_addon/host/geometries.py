@@ -32,6 +32,10 @@ from .convert.volume import Voxels, convert_volume, read_voxels, source_key, tra
 from .geometry_cache import GeometryCache
 
 
+class ConversionError(Exception):
+    """An object that cannot be converted; the message names it and says why."""
+
+
 class Known(NamedTuple):
     """What one source became."""
 
@@ -67,7 +71,9 @@ class Geometries:
         self._known = unchanged
 
     def convert(self, sources: list[Source], table: MaterialTable) -> list[scene.Geometry | None]:
-        """The geometry of each source, None if there is nothing to draw; converts only what is not known."""
+        """The geometry of each source, None if there is nothing to draw; converts only what is not known.
+
+        ConversionError: one of them cannot be converted."""
         known: dict[tuple, Known] = {}
         keys = []
         for source in sources:
@@ -77,14 +83,17 @@ class Geometries:
             last = known.get(key) or self._known.get(key)
             voxels, warnings, strands = (last.voxels, last.warnings, last.strands) if last else (None, (), None)
             parts = last.parts if last else ()
-            if last and not source.editing:
-                geometry = last.geometry
-            elif source.smoke or isinstance(source.data, bpy.types.Volume):
-                geometry, voxels, warnings = self._convert_volume(source, rows[0], table)
-            elif source.strands:
-                geometry, strands, warnings = self._convert_strands(source, rows, table)
-            else:
-                geometry, parts, warnings = self._convert_surface(source, rows, table)
+            try:
+                if last and not source.editing:
+                    geometry = last.geometry
+                elif source.smoke or isinstance(source.data, bpy.types.Volume):
+                    geometry, voxels, warnings = self._convert_volume(source, rows[0], table)
+                elif source.strands:
+                    geometry, strands, warnings = self._convert_strands(source, rows, table)
+                else:
+                    geometry, parts, warnings = self._convert_surface(source, rows, table)
+            except Exception as error:
+                raise ConversionError(f"{source.name}: {type(error).__name__}: {error}") from error
             owners = {source.owner, source.data.original.session_uid, source.data.session_uid}
             owners |= last.owners if last else set()
             generated = source.generated or bool(last and last.generated)

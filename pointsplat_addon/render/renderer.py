@@ -68,6 +68,8 @@ class Renderer:
         if watch is not None:
             watch.ready(frame)
         try:
+            if frame.drawn == ():
+                return Result({}, report(frame, time.perf_counter() - started), drawn=())
             while not frame.complete:
                 before = time.perf_counter()
                 frame.sample()
@@ -81,7 +83,7 @@ class Renderer:
             pixels = frame.pixels()
             if watch is not None:
                 watch.finished()
-            return Result(pixels, report(frame, time.perf_counter() - started))
+            return Result(pixels, report(frame, time.perf_counter() - started), drawn=frame.drawn)
         except Cancelled:
             return Result({}, report(frame, time.perf_counter() - started), cancelled=True)
         finally:

@@ -192,7 +192,7 @@ class POINTSPLAT_RENDER_PT_last_render(_Panel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context):
-        return super().poll(context) and bool(last_render.REPORT)
+        return super().poll(context) and "technique" in last_render.REPORT
 
     def draw(self, context):
         layout = self.layout

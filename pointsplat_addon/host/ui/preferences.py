@@ -1,5 +1,6 @@
 """The extension's preferences."""
 
+import os
 from pathlib import Path
 
 import bpy
@@ -55,7 +56,10 @@ def own_folder() -> Path | None:
 
 
 def cache_folder() -> Path | None:
-    """The folder of hierarchies on disk; None if they are not kept."""
+    """The folder of hierarchies on disk, which the environment may name for all machines of a farm; None if they are
+    not kept."""
+    if shared := os.environ.get("POINTSPLAT_CACHE"):
+        return Path(shared)
     addon = bpy.context.preferences.addons.get(ROOT)
     chosen = addon.preferences.cache_folder if addon and addon.preferences else ""
     return Path(bpy.path.abspath(chosen)) if chosen else own_folder()

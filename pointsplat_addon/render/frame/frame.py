@@ -159,8 +159,9 @@ class Frame:
             over = self._own(TranslucentLayers(device, plan, self.lit.lit, targets, self.targets.combined_target, run))
         passes = self.frame_plan.request.passes
         indirect = self._indirect_light() if plan.indirect else None
+        part = self.frame_plan.request.part if self._in_parts else (0, 1)
         self.visibility = self._own(
-            Visibility(device, plan, passes, self.uploads, targets, self.shading, over, run, indirect)
+            Visibility(device, plan, passes, self.uploads, targets, self.shading, over, run, indirect, part)
         )
 
     def _indirect_light(self) -> GroupsInIndirectLight | None:
@@ -181,6 +182,27 @@ class Frame:
             return None
         light = self._own(found[0])
         return GroupsInIndirectLight(device, light, frame_plan.plan.variant, uploads.lighting.materials["ps_materials"])
+
+    # Parts
+
+    @property
+    def _in_parts(self) -> bool:
+        """Whether each tile is drawn by itself; else the first part is the whole picture, and the others are empty."""
+        plan = self.frame_plan.plan
+        alone = not (plan.eye_dome or plan.defocus or self.beside is not None or self._data.every_sample)
+        return not self.frame_plan.trivial and plan.sub_samples > 0 and alone
+
+    @property
+    def drawn(self) -> tuple[tuple[int, int, int, int], ...] | None:
+        """The rectangles of the picture that are drawn, as in Result; None: all."""
+        index, count = self.frame_plan.request.part
+        if count == 1:
+            return None
+        if self.visibility is None or not self._in_parts:
+            return () if index else ((0, 0, *self.frame_plan.size),)
+        corner, size = np.array(self.frame_plan.corner), np.array(self.frame_plan.size)
+        clipped = [np.clip((tile.corner, tile.end) - corner, 0, size).ravel() for tile in self.visibility.tiles]
+        return tuple((x, y, right, up) for x, y, right, up in np.array(clipped).reshape(-1, 4).tolist())
 
     # Drawing
 

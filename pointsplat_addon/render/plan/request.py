@@ -25,12 +25,18 @@ class Request:
     coarse: bool = False  # one sample at the tolerance that was asked for exceeds the budget of time
     # Bound of the nodes of what is out of focus, over the radii of their circles of confusion: core/lens/kernel.py.
     node: float = NODE_SIZE
+    # (k, n): of the picture's tiles the k-th of n parts is drawn, from 0; all n together are the picture, to the bit.
+    part: tuple[int, int] = (0, 1)
 
 
 @value_record
 class Result:
-    """Pictures (H, W, C) float32 by pass, bottom row first, and the report."""
+    """Pictures (H, W, C) float32 by pass, bottom row first, and the report.
+
+    Of a picture in parts only pixels of the rectangles `drawn` mean something: (N, 4) x, y, end of x, end of y. There
+    are no pictures where there is no rectangle."""
 
     pixels: dict[str, np.ndarray]
     report: dict[str, Any]
     cancelled: bool = False
+    drawn: tuple[tuple[int, int, int, int], ...] | None = None  # None: all

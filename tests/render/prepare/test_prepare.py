@@ -22,9 +22,10 @@ from scripts.scenes.cases import CASES
 from scripts.scenes.meshes import cube_mesh, flat_mesh, sphere_mesh
 
 
-def prepared(case, store=None, samples=1, costs=DEFAULT):
+def prepared(case, store=None, samples=1, costs=DEFAULT, interactive=False):
     scene, camera = validate(case.scene, case.camera)
-    return prepare(scene, camera, case.settings, samples, Store() if store is None else store, costs=costs)
+    store = Store() if store is None else store
+    return prepare(scene, camera, case.settings, samples, store, costs=costs, interactive=interactive)
 
 
 def at_distance(case, distance):
@@ -98,12 +99,13 @@ def test_a_tree_is_built_where_it_leaves_out_most_points_and_pays_by_many_sample
     assert prepared(far, samples=1000).cut.splats < 100
 
 
-def test_a_tree_that_is_there_is_used():
+def test_a_tree_that_is_there_is_used_by_viewports_while_final_pictures_do_not_depend_on_those_before():
     store = Store()
     cloud = replace(clouds.sphere_cloud(20000), radii=np.full((20000, 1), 1e-2, np.float32))
     near = Case(build.scene((build.points("dense again", cloud), build.moved())), cameras.camera())
     prepared(at_distance(near, 4000.0), store, samples=1000)
-    assert prepared(near, store).point_sets[0].hierarchy is not None
+    assert prepared(near, store, interactive=True).point_sets[0].hierarchy is not None
+    assert prepared(near, store).point_sets[0].hierarchy is None
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -30,7 +30,7 @@ from .occluders import Occluders
 from .polygon_draws import draws_of, polygons_in_view
 from .strand_draws import strand_draws
 from .targets import VisibilityTargets
-from .tiles import PictureTile
+from .tiles import PictureTile, tiles_of_part
 from .translucent import TranslucentLayers
 
 WIDE_RADIUS = 2.5  # pixels: where no splat is wider, none covers more cells than a compute invocation draws
@@ -51,9 +51,11 @@ class Visibility:
         translucent: TranslucentLayers | None,
         run: Run,
         indirect: GroupsInIndirectLight | None = None,
+        part: tuple[int, int] = (0, 1),
     ) -> None:
         """`translucent`: what is blended over the sub-samples. `run` times each pass. `indirect`: light that surfaces
-        receive from each other."""
+        receive from each other. `part`: which tiles are drawn, see tiles_of_part."""
+        self.tiles = tiles_of_part(targets.tiles, part)
         self._device, self._plan, self._passes, self._uploads = device, plan, passes, uploads
         self._targets, self._shading, self._translucent, self._run = targets, shading, translucent, run
         self._indirect = indirect
@@ -80,7 +82,7 @@ class Visibility:
         material of each sub-sample, (S, H, W, 2) int32, where `identify`; else None.
         """
         found, (width, height) = None, view.size
-        for tile in self._targets.tiles:
+        for tile in self.tiles:
             seen = tile.view(view)
             self._number_primitives(seen)
             self._targets.buffer.clear()
@@ -166,7 +168,7 @@ class Visibility:
         assert targets.central is not None
         assert leaders is not None
         targets.groups.lead(view, leaders)
-        if tile is targets.tiles[0]:
+        if tile is self.tiles[0]:
             targets.central.clear()
         leaders.place = tile.rectangle(targets.size), tile.origin
         self._write_attributes(view, leaders, targets.central, self._plan.data_variant)

@@ -35,6 +35,12 @@ class PictureTile:
         return self.corner[0] / size[0], self.corner[1] / size[1], self.end[0] / size[0], self.end[1] / size[1]
 
 
+def tiles_of_part(tiles: list[PictureTile], part: tuple[int, int]) -> list[PictureTile]:
+    """Returns the tiles of a part of a picture: (k, n), the k-th of n, from 0. Each tile is in one part."""
+    index, count = part
+    return tiles[len(tiles) * index // count : len(tiles) * (index + 1) // count]
+
+
 def cells_of_tile(primitives: int, shown: bool) -> int:
     """Returns how many cells a tile has at most, where so many primitives are drawn for each tile: two for a primitive,
     so that cells take about as much memory as what is drawn, and few primitives are drawn several times. `shown`: the
