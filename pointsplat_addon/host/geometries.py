@@ -139,8 +139,8 @@ class Geometries:
             return None, (), tuple(f"{source.name}: {message}" for message in messages)
         key, splats, more = found
         warnings = tuple(f"{source.name}: {message}" for message in (*messages, *more))
-        key = f"{key} captured"
-        made = scene.Geometry(key, source.name, captured=splats)
+        key = f"{key} captured" if source.lighting == "CAPTURED" else f"{key} captured {source.lighting}"
+        made = scene.Geometry(key, source.name, captured=splats, lighting=source.lighting)
         return self._cache.lookup(key, lambda: made), (), warnings
 
     def _convert_strands(
@@ -188,7 +188,8 @@ def _source_key(source: Source, rows: tuple[int, ...], table: MaterialTable) -> 
     """
     digests = tuple(graph.digest if (graph := _graph(table, row)) else "" for row in rows)
     settings = source.primitive, source.spacing, source.extinction, source.shape
-    settings = *settings, source.pixel_radius, source.filters, source.clip, source.antialiased, source.motion
+    settings = *settings, source.pixel_radius, source.filters, source.clip, source.motion
+    settings = *settings, source.antialiased, source.lighting
     key = (source.data.session_uid, rows, digests, *settings)
     if source.smoke:
         key = (*key, source.smoke.key)

@@ -149,6 +149,7 @@ class Synchronizer:
             holdout=np.array([s.holdout for s in sources], bool)[source],
             object_hash=np.array([hash_of_name(s.name) for s in sources], np.uint32)[source],
             casts=None if all(s.casts for s in sources) else np.array([s.casts for s in sources], bool)[source],
+            matte=np.array([s.matte for s in sources], bool)[source] if any(s.matte for s in sources) else None,
             names=tuple([sources[i].name for i in source]),
         )
 

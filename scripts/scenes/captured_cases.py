@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pointsplat_addon.core.scene.captured import CapturedSplats
@@ -11,7 +13,7 @@ from scripts.scenes.build import captured, mesh, moved, points, scene
 from scripts.scenes.cameras import Vector, camera
 from scripts.scenes.case import Case
 from scripts.scenes.clouds import smoke_cloud
-from scripts.scenes.meshes import cube_mesh
+from scripts.scenes.meshes import cube_mesh, sphere_mesh
 
 # Turned, sheared, unevenly scaled and mirrored.
 SHEARED = np.array([[-1, -0.6, 0, -0.2], [0, 1.2, -0.3, 0], [0.2, 0, 0.5, 0.1], [0, 0, 0, 1.0]])
@@ -78,6 +80,15 @@ def captured_alone() -> Case:
     return Case(scene((splats, moved((0.3, 0, 0))), (splats, SHEARED), lights=()), camera(), table)
 
 
+def captured_trained() -> Case:
+    """The same over a world, blended in display values, as training did."""
+    case = captured_alone()
+    world = World(np.array([0.02, 0.3, 0.9]))
+    return replace(
+        case, scene=replace(case.scene, world=world), settings=replace(case.settings, captured_blending="TRAINED")
+    )
+
+
 def captured_among() -> Case:
     """Splats around a cube in smoke."""
     return Case(
@@ -102,6 +113,33 @@ def captured_in_smoke() -> Case:
         camera(),
         Settings(use_shadows=False),
     )
+
+
+def captured_lit() -> Case:
+    """A relit sphere of splats, and one that is shadowed by it and by a cube."""
+    relit = replace(captured("captured relit", captured_sphere(2000)), lighting="RELIT")
+    shadowed = replace(captured("captured shadowed", captured_sphere(2000)), lighting="SHADOWED")
+    return Case(
+        scene(
+            (relit, moved((-0.6, -0.3, 0.3), 0.6)),
+            (shadowed, moved((0.5, 0.4, -0.3), 0.8)),
+            (mesh(cube_mesh("cube over captured", 0.3), "POLYGONS"), moved((0.3, -0.5, 0.6))),
+        ),
+        camera(),
+        Settings(shadow_resolution=64),
+    )
+
+
+def captured_matte() -> Case:
+    """A sphere of splats, a ball that stands for its surface, and a cube that casts a shadow onto both."""
+    ball = mesh(sphere_mesh("matte of captured", 16), "POLYGONS")
+    made = scene(
+        (captured("captured on a matte", captured_sphere(2000)), moved((0, 0, -0.2), 0.8)),
+        (ball, moved((0, 0, -0.2), 0.79)),
+        (mesh(cube_mesh("cube over a matte", 0.3), "POLYGONS"), moved((-0.3, -0.7, 0.7))),
+    )
+    instances = replace(made.instances, matte=np.array([False, True, False]))
+    return Case(replace(made, instances=instances), camera(), Settings(shadow_resolution=64))
 
 
 def captured_far() -> Case:

@@ -6,7 +6,14 @@ from collections.abc import Callable
 from functools import cache
 
 from scripts.scenes.awkward_cases import far_away, inside, not_finite, scales
-from scripts.scenes.captured_cases import captured_alone, captured_among, captured_in_smoke
+from scripts.scenes.captured_cases import (
+    captured_alone,
+    captured_among,
+    captured_in_smoke,
+    captured_lit,
+    captured_matte,
+    captured_trained,
+)
 from scripts.scenes.case import Case
 from scripts.scenes.detailed_cases import foliage, many_towers, split_mesh, strands
 from scripts.scenes.indirect_cases import among_balls_and_strands, in_a_corner
@@ -67,6 +74,9 @@ CASES: dict[str, Callable[[], Case]] = {
         captured_alone,
         captured_among,
         captured_in_smoke,
+        captured_lit,
+        captured_matte,
+        captured_trained,
         in_smoke,
         foliage,
         many_towers,

@@ -1,20 +1,23 @@
 // One captured splat of the draw list, as lit splats are (render/passes/translucent/light.py): its ellipse in pixels, its
 // opacity, and the light that it sends to the eye. core/splat/captured.py has the formula, render/passes/captured/project.py
 // the layouts. u.first: texel of the first splat of the list; u.instances: the first of this page's, and the one behind its
-// last. PS_ANTIALIASED: what the low-pass widens loses opacity. PS_AMONG_OPAQUE: something opaque may stand among them.
+// last. PS_TRAINED: display values are blended. PS_SHADOWED, PS_RELIT: light changes what they send. PS_ANTIALIASED: what the low-pass widens loses opacity. PS_AMONG_OPAQUE: something opaque may stand among them.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/geometry/finite.glsl"
 #include "lib/captured/harmonics.glsl"
 #include "lib/captured/kind.glsl"
+#ifndef PS_TRAINED
+#include "lib/captured/display.glsl"
+#endif
+#if defined(PS_SHADOWED) || defined(PS_RELIT)
+#include "lib/geometry/direction.glsl"
+#include "lib/light/lights.glsl"
+#include "lib/captured/lit.glsl"
+#endif
 
 #define PS_UNCUT 0.25  // opacity of splats that are antialiased: they do not end where they are too faint one by one
 #define PS_WIDEST 1e6  // pixels: half-axes of what is wider are as wide, which pictures cannot show
-
-vec3 ps_linear_from_display(vec3 c)
-{
-  return mix(c / 12.92, pow((max(c, 0.04045) + 0.055) / 1.055, vec3(2.4)), vec3(greaterThan(c, vec3(0.04045))));
-}
 
 vec2 ps_limited(vec2 half_axis)
 {
@@ -91,10 +94,29 @@ void main()
   vec3 direction = ps_is_perspective() ? head.xyz - more.xyz : more.xyz;
   direction *= 1.0 / max(max(abs(direction.x), abs(direction.y)), max(abs(direction.z), 1e-30));
   vec3 display = max(ps_harmonic_sum(index, normalize(direction)) + 0.5, vec3(0.0));
+#ifdef PS_TRAINED
+  vec3 radiance = display;
+#else
+  vec3 radiance = ps_linear_from_display(display);
+#endif
+#if defined(PS_SHADOWED) || defined(PS_RELIT)
+  // Normals are of either side: that is lit which is seen.
+  vec3 to_eye = ps_is_perspective() ? normalize(-p) : vec3(0.0, 0.0, 1.0), n = texelFetch(ps_normal, at, 0).xyz;
+  vec3 facing = cross(linear[1], linear[2]) * n.x + cross(linear[2], linear[0]) * n.y + cross(linear[0], linear[1]) * n.z;
+  facing = ps_direction(facing, to_eye);
+  facing *= dot(facing, to_eye) < 0.0 ? -1.0 : 1.0;
+#ifdef PS_SHADOW_SPREAD
+  ps_spread = PsSpread(uint(index), PS_EVERY_POINT);
+#endif
+#ifdef PS_RELIT
+  ps_lift = PS_LIFT * sqrt(0.5 * (dot(a, a) + dot(b, b) + dot(c, c))) * facing;
+#endif
+  radiance *= ps_captured_light(p, facing, to_eye, u.light_count);
+#endif
   bool seen = d > u.near && d < u.far && opacity >= PS_LEAST_ALPHA && det < 1e30;
   out_centre = seen ? vec4(u.focal * p.xy * over, d, opacity) : vec4(0.0);
   out_shape = seen ? vec4(wide, det) : vec4(1.0, 0.0, 1.0, 1.0);
-  out_source = vec4(ps_finite(ps_linear_from_display(display)), kind);
+  out_source = vec4(ps_finite(radiance), kind);
 #ifdef PS_HOLDOUT
   if (more.w > 0.5) {
     out_source = vec4(0.0, 0.0, 0.0, -1.0 - kind);
@@ -106,7 +128,7 @@ void main()
   vec2 together = deep.x * ua + deep.y * ub + deep.z * uc;
   vec2 gradient = vec2(wide.z * together.x - wide.y * together.y, wide.x * together.y - wide.y * together.x) / det;
   float variance = max(dot(deep, deep) - dot(gradient, together), 1e-10 * d * d);
-  out_front = vec4(sqrt(variance), gradient, 0.0);
+  out_front = vec4(sqrt(variance), gradient, sqrt(max(dot(a, a), max(dot(b, b), dot(c, c)))));
 #endif
 #ifdef PS_TINT
   out_tint = vec4(1.0);

@@ -286,7 +286,7 @@ void main()
 #else
   vec2 about = ps_instance_row(slot, 3).xy;
 #endif
-  s.shape = vec4(leader.offset, 0.0, about.x > 0.5 ? -1.0 - material : material);
+  s.shape = vec4(leader.offset, 0.0, about.x > 1.5 ? PS_MATTE : about.x > 0.5 ? -1.0 - material : material);
 #ifdef PS_NORMAL
   PsCorners own = PsCorners(corners, p);
 #ifdef PS_BENT

@@ -1,4 +1,4 @@
-// Passes that are not averaged: what lies under the pixel's centre in the first sample.
+// Passes that are not averaged: what lies under the pixel's centre in the first sample. PS_MATTES: some of it is not seen.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/geometry/surfel_kind.glsl"
@@ -11,6 +11,9 @@ void main()
   bool there = ps_is_there(centre);
   vec3 position = vec3(0.0, 0.0, -1e10);
   vec4 shape = vec4(0.0);
+#ifdef PS_MATTES
+  there = there && !ps_is_matte(texelFetch(ps_shape, pixel, 0));
+#endif
   if (there) {
     shape = texelFetch(ps_shape, pixel, 0);
     vec3 stored = texelFetch(ps_normal, pixel, 0).xyz;

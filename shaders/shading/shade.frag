@@ -1,7 +1,8 @@
 // Deferred shading: the G-buffer to scene-linear radiance, premultiplied, added to what earlier samples left. Pixels
 // that show nothing are left to background.frag. PS_AUXILIARY_ONLY: only passes beside Combined are drawn. PS_GROUPED: the
 // texels are a list of groups of sub-samples, and shape.xy is where in the pixel the one lies that stands for the group.
-// PS_FOOTPRINT: shadows are looked up at each of these sub-samples.
+// PS_FOOTPRINT: shadows are looked up at each of these sub-samples. PS_MATTES: some groups are mattes, which are left to
+// PS_CATCHER, for which light is that of what was added to a capture. PS_BEHIND: what mattes let through.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/visibility/lattice.glsl"
@@ -10,7 +11,11 @@
 #include "lib/geometry/surfel_kind.glsl"
 #include "lib/data/pack.glsl"
 #include "lib/light/lights.glsl"
+#ifdef PS_CATCHER
+#include "lib/captured/lit.glsl"
+#else
 #include "lib/data/materials.glsl"
+#endif
 #include "lib/geometry/geometry.glsl"
 #include "lib/geometry/finite.glsl"
 #include "lib/geometry/coverage.glsl"
@@ -37,6 +42,15 @@ void main()
     discard;
   }
   vec4 shape = texelFetch(ps_shape, pixel, 0);
+#ifdef PS_CATCHER
+  if (!ps_is_matte(shape)) {
+    discard;
+  }
+#elif defined(PS_MATTES)
+  if (ps_is_matte(shape)) {
+    discard;
+  }
+#endif
 #ifdef PS_GROUPED
   vec2 at = vec2(ps_listed(pixel).pixel) + 0.5 + shape.xy;
 #else
@@ -88,6 +102,18 @@ void main()
   vec3 outward = to_eye - dot(to_eye, tangent) * tangent;
   normal = strand ? normalize(dot(outward, outward) > 1e-12 ? outward : to_eye) : normal;
 #endif
+#ifdef PS_CATCHER
+  // What is behind it shows through, as dark as the shadows are that fall onto it.
+  vec3 left = ps_captured_light(position, normal, to_eye, u.light_count);
+#ifdef PS_BEHIND
+  vec4 behind = texelFetch(ps_behind, ps_listed(pixel).pixel, 0);
+#else
+  const vec4 behind = vec4(0.0);
+#endif
+  float hidden = 1.0 - dot(left, vec3(1.0 / 3.0));
+  out_combined = vec4(behind.rgb * left, behind.a + (1.0 - behind.a) * hidden);
+  out_matte = vec4(left, 1.0);
+#else
   bool holdout = shape.w < -0.5;
   int material = int((holdout ? -1.0 - shape.w : shape.w) + 0.5);
 
@@ -140,5 +166,6 @@ void main()
   float d = ps_is_perspective() ? length(position) : -position.z;
   float mist = clamp((d - u.mist_start) * u.mist_scale, 0.0, 1.0);
   out_mist = vec4(covered * (u.mist_exponent == 1.0 ? mist : pow(mist, u.mist_exponent)));
+#endif
 #endif
 }

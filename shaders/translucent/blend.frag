@@ -59,8 +59,19 @@ void main()
   float depth = v_source.w * ps_kernel(q);
 #endif
 #ifdef PS_AMONG_OPAQUE
+#ifdef PS_MATTES
+  // Captured splats show through a matte, in the shadow that falls there; not those that lie before it by more than
+  // their size.
+  float on_matte = texelFetch(ps_depth, ivec2(gl_FragCoord.xy / u.place), 0).z;
+  bool matte = on_matte >= 0.0 && ps_is_captured(v_conic.w);
+  float ahead = (opaque - v_front.x - dot(v_front.zw, v)) / v_size;
+  vec3 source = v_source.rgb * (matte ? mix(on_matte, 1.0, smoothstep(1.0, 3.0, ahead)) : 1.0);
+#endif
   float x = (opaque - v_front.x - dot(v_front.zw, v)) * v_front.y;
   float before = ps_below(clamp(x, -6.0, 6.0));
+#ifdef PS_MATTES
+  before = matte ? 1.0 : before;
+#endif
 #else
   const float before = 1.0;
 #endif
@@ -77,7 +88,11 @@ void main()
   covered = captured ? hidden : covered;
 #endif
 #endif
+#ifdef PS_MATTES
+  out_color = vec4(source * covered, covered);
+#else
   out_color = vec4(v_source.rgb * covered, covered);
+#endif
 #ifdef PS_HOLDOUT
   // How much of what is drawn so far the pixel's alpha is not to count; in the channel that is drawn along with alpha.
   out_cut = vec4(0.0, v_conic.w < -0.5 ? covered : 0.0, 0.0, covered);

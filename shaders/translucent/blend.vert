@@ -35,9 +35,15 @@ void main()
   v_centre = centre.xy + u.principal_point + u.origin;
   v_conic = vec4(1.0 / x, lean, 1.0 / y, source.w);
   v_source = vec4(source.rgb, centre.w);
+#ifdef PS_INDEXED
+  v_index = float(index);
+#endif
 #ifdef PS_AMONG_OPAQUE
   vec4 front = texelFetch(ps_front, at, 0);
   v_front = vec4(centre.z, 1.0 / front.x, front.yz);
+#ifdef PS_MATTES
+  v_size = max(front.w, 1e-30);
+#endif
 #endif
   float faintest = centre.w / PS_LEAST_ALPHA;
 #ifdef PS_NODES
@@ -99,6 +105,9 @@ void main()
 #ifdef PS_AMONG_OPAQUE
   vec4 front = texelFetch(ps_front, at, 0);
   v_front = vec4(centre.z, 1.0 / front.x, target_from_pixel * front.yz / (scale * scale));
+#ifdef PS_MATTES
+  v_size = max(front.w, 1e-30);
+#endif
 #endif
 
   // Along the ellipse's axes where that saves much; else along the picture's, which rasterisers fill faster.

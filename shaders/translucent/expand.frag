@@ -1,7 +1,8 @@
 // One of the opaque layers that some of a pixel's sub-samples show, twice: one is blended over, and the other tells what that
 // changes. Layers are groups, in the order in which these sub-samples meet them; what is open is one, too. out_place: the
 // layer's depth, and its group. Texels of ps_members: which sub-samples, and the cells where they lie. PS_BEHIND: what open
-// sub-samples show. PS_PLACES: groups are not listed in the order of their pixels. PS_EMPTY:
+// sub-samples show. PS_PLACES: groups are not listed in the order of their pixels.
+// PS_MATTES: out_place also holds what shadows leave of the light on mattes, -1 for other layers. PS_EMPTY:
 // blending begins with nothing, and what is opaque is told elsewhere. PS_APART: what is open is none of these layers, but
 // the layer -1.
 
@@ -36,6 +37,13 @@ void main()
   uint bits = texelFetch(ps_depths, ps_central_cell(pixel) + cell, 0).x;
   float depth = open ? PS_BEHIND_ALL : uintBitsToFloat(bits) + u.near;
   out_place = there ? vec4(depth, float(group), 0.0, 0.0) : vec4(PS_NOWHERE, -1.0, 0.0, 0.0);
+#ifdef PS_MATTES
+  vec4 matte = vec4(0.0);
+  if (there && !open) {
+    matte = texelFetch(ps_matte, ps_group_texel(int(texelFetch(ps_starts, pixel, 0).x) + int(group)), 0);
+  }
+  out_place.z = matte.a > 0.5 ? dot(matte.rgb, vec3(1.0 / 3.0)) : -1.0;
+#endif
 #ifdef PS_EMPTY
   out_layer = vec4(0.0);
 #else

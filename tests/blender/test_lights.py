@@ -12,6 +12,7 @@ bpy = pytest.importorskip("bpy")
 from mathutils import Euler, Matrix
 
 from pointsplat_addon.host.convert import lights, world
+from pointsplat_addon.host.convert.material.materials import convert_materials
 
 SIZE = 20
 
@@ -291,6 +292,24 @@ def test_principled_sphere_reflects_as_much_as_in_cycles(scene, tmp_path, name, 
     assert np.abs(ratio - 1).max() < 0.05
     # measured: 0.013 on the dielectric, 0.101 on metal, where only the lobe is seen
     assert rms < (0.12 if metallic else 0.02)
+
+
+def test_faces_without_a_material_shine_as_in_cycles(scene, tmp_path):
+    """Dull before Blender 5, by the Principled BSDF since: seen from above, with the sun behind the eye."""
+    plane = add_plane(scene)
+    plane.data.materials.clear()
+    add(scene, "sun", bpy.data.lights.new("sun", "SUN")).data.energy = 3.0
+    scene.cycles.samples = 4
+    want = cycles_picture(scene, tmp_path).reshape(-1, 3)
+    table, _ = convert_materials([])
+    names = ("base_color", "emission", "roughness", "metallic", "ior", "specular")
+    surface = lighting.Surface(*(getattr(table, name)[0].astype(float) for name in names))
+    position = pixel_centres()
+    up = np.broadcast_to([0.0, 0, 1], position.shape)
+    converted, _ = lights.convert_lights(bpy.context.evaluated_depsgraph_get())
+    got = lighting.shade(position, up, up, surface, converted)
+    error = np.abs(got / want - 1).max()
+    assert error < 5e-4  # measured 1.5e-4, 3e-6 before Blender 5
 
 
 def test_light_nodes_multiply_or_warn(scene):

@@ -2,6 +2,7 @@
 
 import json
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from pointsplat_addon.formats.splats.gather import read_all
 from pointsplat_addon.formats.splats.opening import open_splats
 from pointsplat_addon.host.splats.importing import import_files
 from pointsplat_addon.host.splats.pictures import read_picture
+from pointsplat_addon.host.ui import panels
 from tests.support import splat_files as files
 from tests.support.blender.scenes import pointcloud, sync
 
@@ -302,3 +304,52 @@ def test_splats_survive_saving(tmp_path):
     ob = bpy.data.objects["a"]
     np.testing.assert_array_equal(value(ob, "rotation"), given.rotation)
     np.testing.assert_array_equal(value(ob, "radiance:sh_3"), given.sh[:, 3])
+
+
+def test_lighting_is_read_and_makes_other_geometry(tmp_path):
+    splat_file(tmp_path / "a.ply")
+    ob = imported(tmp_path / "a.ply")
+    keys = set()
+    for lighting in ("CAPTURED", "SHADOWED", "RELIT"):
+        ob.pointsplat.lighting = lighting
+        (geometry,) = sync().geometries
+        assert geometry.lighting == lighting
+        keys.add(geometry.key)
+    assert len(keys) == 3
+
+
+def test_the_panel_shows_what_captured_splats_have(tmp_path):
+    """And not the shape, radius and extinction of points; a point cloud has these."""
+    splat_file(tmp_path / "a.ply")
+    assert drawn(imported(tmp_path / "a.ply")) == ["lighting", "visible_camera", "visible_shadow"]
+    assert {"shape", "radius", "extinction"} < set(drawn(pointcloud("Scan", [(0, 0, 0)])))
+    assert "lighting" not in drawn(bpy.context.object)
+
+
+def test_a_mesh_may_stand_for_captured_surfaces():
+    bpy.ops.mesh.primitive_cube_add()
+    ob = bpy.context.object
+    ob.data.materials.append(bpy.data.materials.new("Glass"))
+    assert sync().instances.matte is None
+    assert "is_matte" in drawn(ob)
+    ob.pointsplat.is_matte = True
+    ob.pointsplat.primitive = "POINTS"
+    scene = sync()
+    np.testing.assert_array_equal(scene.instances.matte, [True])
+    (geometry,) = scene.geometries
+    assert (geometry.primitive, geometry.mesh.materials) == ("POLYGONS", (0,))
+
+
+def drawn(ob) -> list[str]:
+    """Names of the properties that the object panel shows."""
+    found: list[str] = []
+
+    class Layout:
+        def __getattr__(self, name):
+            return (lambda *_, **__: self) if name != "prop" else (lambda _, shown, **__: found.append(shown))
+
+    context = SimpleNamespace(object=ob)
+    panel: Any = SimpleNamespace(layout=Layout(), split_layout=Layout)
+    panel._visibility = lambda *given: panels.POINTSPLAT_OBJECT_PT_pointsplat._visibility(panel, *given)
+    panels.POINTSPLAT_OBJECT_PT_pointsplat.draw(panel, context)
+    return found

@@ -38,6 +38,7 @@ class Geometry:
     spacing: float = 0.0  # distance between samples in object units; 0 chooses
     lattice: str = ""  # clouds of equal keys and attributes have the same points and half-axes; "": no other does
     extinction: float = 0.0  # of this geometry's points, per object unit; 0 takes it from the material
+    lighting: str = "CAPTURED"  # of captured splats: one of LIGHTINGS
     pixel_radius: float = 0.0  # pixels: radius of a cloud's points in each view (splat/pixel_radii); 0: their own
 
 
@@ -51,6 +52,8 @@ class Instances:
     pass_index: np.ndarray | None = None  # (I,) int32
     holdout: np.ndarray | None = None  # (I,) bool: cuts a hole into alpha
     casts: np.ndarray | None = None  # (I,) bool: casts shadows; None: all do
+    # (I,) bool: meshes that stand for captured surfaces: they hide what is behind them, are not seen, and catch shadows
+    matte: np.ndarray | None = None
     object_hash: np.ndarray | None = None  # (I,) uint32: cryptomatte hash of the object's name
     names: tuple[str, ...] = ()  # object name for each row, for messages
 

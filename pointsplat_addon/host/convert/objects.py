@@ -44,6 +44,7 @@ class Source:
     pass_index: int
     holdout: bool
     casts: bool  # whether it casts shadows
+    matte: bool  # whether it stands for captured surfaces
     generated: bool  # whether an instancer made it: its data may belong to the instancer
     editing: bpy.types.Object | None = None  # the object, if its mesh is in edit mode
     transfer: Transfer | None = None  # of volumes
@@ -53,7 +54,8 @@ class Source:
     ribbons: bool = False  # strands have normals
     filters: Filters | None = None  # of points
     clip: Clip | None = None  # of points
-    antialiased: bool = False  # of captured splats
+    lighting: str = "CAPTURED"  # of captured splats
+    antialiased: bool = False  # of these
     motion: float = 0.0  # of points: seconds of a frame, where a pass asks how they move
 
     @property
@@ -155,13 +157,16 @@ def _make_source(
     generated: bool,
     clip: Clip | None,
 ) -> Source:
-    materials = tuple(override or slot.material for slot in ob.material_slots)
+    matte = ob.type == "MESH" and ob.pointsplat.is_matte
+    materials = () if matte else tuple(override or slot.material for slot in ob.material_slots)
+    primitive = "POLYGONS" if matte else ob.pointsplat.primitive
     return Source(
         name=ob.name,
         owner=ob.original.session_uid,
         data=ob.data,  # pyright: ignore[reportArgumentType]
-        materials=materials or (override,),
-        primitive="AUTO" if ob.pointsplat.primitive == "LINES" else ob.pointsplat.primitive,
+        materials=materials or (None if matte else override,),
+        primitive="AUTO" if primitive == "LINES" else primitive,
+        matte=matte,
         spacing=ob.pointsplat.spacing,
         extinction=ob.pointsplat.extinction,
         shape=shape_of(ob),
@@ -175,6 +180,7 @@ def _make_source(
         smoke=read_domain(ob) if ob.type == "MESH" else None,
         ribbons=ob.type == "CURVES" and ob.pointsplat.ribbons,
         filters=filters_of(ob),
+        lighting=ob.pointsplat.lighting if ob.type == "POINTCLOUD" else "CAPTURED",
         antialiased=ob.type == "POINTCLOUD" and bool(ob.original.get(ANTIALIASED, False)),
         clip=clip,
     )
@@ -184,13 +190,13 @@ def _particles(emitter: Source, ob: bpy.types.Object, override: bpy.types.Materi
     """Sources of an object's particle systems, points and hair."""
     # Particles are in world space: instances of their emitter have no particles of their own
     found = [
-        replace(emitter, materials=(override or material,), editing=None, particles=points)
+        replace(emitter, materials=(override or material,), editing=None, matte=False, particles=points)
         for points, material in ([] if emitter.generated else read_particles(ob, final))
     ]
     # Without any slot there is no material, whatever the settings say
     slots = emitter.materials
     return found + [
-        replace(emitter, materials=(slots[max(hair.material, 0)],), editing=None, smoke=None, hair=hair)
+        replace(emitter, materials=(slots[max(hair.material, 0)],), editing=None, smoke=None, matte=False, hair=hair)
         for hair in hair_systems(ob, final)
     ]
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import bpy
 
 from ...render.passes.outputs import PASSES
+from ..convert.captured import is_captured
 from ..convert.mesh import is_loose_vertices
 from . import last_render
 
@@ -98,6 +99,17 @@ class POINTSPLAT_RENDER_PT_points(_Panel, bpy.types.Panel):
         settings, layout = context.scene.pointsplat, self.split_layout()
         layout.prop(settings, "technique")
         layout.prop(settings, "tolerance")
+
+
+class POINTSPLAT_RENDER_PT_captured(_Panel, bpy.types.Panel):
+    bl_label = "Captured Splats"
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and any(is_captured(data) for data in bpy.data.pointclouds)
+
+    def draw(self, context):
+        self.split_layout().prop(context.scene.pointsplat, "captured_blending")
 
 
 class POINTSPLAT_RENDER_PT_shadows(_Panel, bpy.types.Panel):
@@ -238,6 +250,10 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
             layout.prop(ob.pointsplat, "ribbons")
             self._visibility(ob, layout)
             return
+        if ob.type == "POINTCLOUD" and is_captured(ob.data):
+            layout.prop(ob.pointsplat, "lighting")
+            self._visibility(ob, layout)
+            return
         is_points = ob.type == "POINTCLOUD" or (ob.type == "MESH" and is_loose_vertices(ob.data))
         if is_points:  # they are drawn as they are: nothing is sampled
             if ob.type == "POINTCLOUD":
@@ -251,6 +267,8 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
             row = layout.row()
             row.active = ob.pointsplat.primitive != "POLYGONS"
             row.prop(ob.pointsplat, "spacing")
+            if ob.type == "MESH":
+                layout.prop(ob.pointsplat, "is_matte")
         if ob.type in WITH_EXTINCTION or len(ob.particle_systems):
             layout.prop(ob.pointsplat, "extinction")
         self._visibility(ob, layout)
@@ -293,6 +311,7 @@ CLASSES = (
     POINTSPLAT_RENDER_PT_sampling,
     POINTSPLAT_RENDER_PT_budget,
     POINTSPLAT_RENDER_PT_points,
+    POINTSPLAT_RENDER_PT_captured,
     POINTSPLAT_RENDER_PT_shadows,
     POINTSPLAT_RENDER_PT_eye_dome,
     POINTSPLAT_RENDER_PT_depth_of_field,

@@ -15,9 +15,9 @@ from bpy.props import (
     StringProperty,
 )
 
-from ...core.scene.settings import PRIMITIVES, RADIUS_UNITS, SHAPES, Settings
+from ...core.scene.settings import LIGHTINGS, PRIMITIVES, RADIUS_UNITS, SHAPES, Settings
 from .. import engine
-from .labels import CLIP_ITEMS, ITEMS, LABELS, PRIMITIVE_ITEMS, RADIUS_UNIT_ITEMS, SHAPE_ITEMS
+from .labels import CLIP_ITEMS, ITEMS, LABELS, LIGHTING_ITEMS, PRIMITIVE_ITEMS, RADIUS_UNIT_ITEMS, SHAPE_ITEMS
 from .point_filters import PointSplatFilter, changed
 
 
@@ -104,6 +104,20 @@ class PointSplatObject(bpy.types.PropertyGroup):
         description="What the radius of the points of a point cloud counts in",
         items=[RADIUS_UNIT_ITEMS[n] for n in RADIUS_UNITS],
         default="OBJECT",
+        update=changed,
+    )
+    lighting: EnumProperty(
+        name="Lighting",
+        description="What light does to captured Gaussian splats",
+        items=[LIGHTING_ITEMS[n] for n in LIGHTINGS],
+        default="CAPTURED",
+        update=changed,
+    )
+    is_matte: BoolProperty(
+        name="Matte",
+        description="The mesh stands for surfaces of captured Gaussian splats: it hides what is behind it, is not seen "
+        "itself, and catches the shadows of what was added to the capture",
+        default=False,
         update=changed,
     )
     filters: CollectionProperty(

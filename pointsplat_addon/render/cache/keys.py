@@ -61,6 +61,8 @@ class Kind(Enum):
     CAPTURED_TREE = auto()  # nodes that stand for many
     CAPTURED_TREE_ASKED_FOR = auto()
     LARGEST_SCALES = auto()  # of each
+    CAPTURED_NORMALS = auto()  # of each
+    CAPTURED_NODE_NORMALS = auto()
     # Of shadows
     CASTER_BALL = auto()
     CASTER_BOX = auto()

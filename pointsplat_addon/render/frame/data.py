@@ -8,7 +8,7 @@ import numpy as np
 
 from ...core.scene.scene import Scene
 from ..device.protocol import Texture
-from ..passes.outputs import CRYPTO
+from ..passes.outputs import BACKGROUND_DEPTH, CRYPTO
 from ..passes.shading.data import data
 from ..plan.request import Request
 from .cryptomatte import cryptomatte, filtered_cryptomatte
@@ -21,6 +21,7 @@ class DataPasses:
         self.scene, self.request = scene, request
         self._first: dict[str, np.ndarray] = {}
         self._lattices: list[tuple[np.ndarray, np.ndarray]] = []  # of sub-samples: identities, weights
+        self._captured: np.ndarray | None = None
         self._identities: list[np.ndarray] = []  # (H, W, 2) int32 by sample: instance, material
 
     @property
@@ -53,6 +54,10 @@ class DataPasses:
         """
         self._lattices.append((found, weights))
 
+    def add_captured(self, depth: np.ndarray) -> None:
+        """Adds depths (H, W) float32 of captured splats, infinite where there are none."""
+        self._captured = depth
+
     def pixels(self, cropped: Callable[[np.ndarray], np.ndarray]) -> dict[str, np.ndarray]:
         """Returns the finished passes by name, (H, W, C) float32; passes whose textures were not read are left out.
 
@@ -62,6 +67,9 @@ class DataPasses:
         out = {}
         if "position" in first:
             out["depth"], out["position"] = first["position"][..., 3:], first["position"][..., :3]
+        if self._captured is not None:
+            depth = np.minimum(self._captured[..., None], BACKGROUND_DEPTH)
+            out["depth"] = np.minimum(out.get("depth", BACKGROUND_DEPTH), depth).astype(np.float32)
         if "vector" in first:
             out["vector"] = first["vector"]
         if "index" in first:

@@ -16,6 +16,7 @@ from ..device.clock import Clock
 from ..device.protocol import Texture
 from ..indirect.light import IndirectLight
 from ..indirect.surfels import scene_surfels
+from ..passes.captured.half_depth import half_depth
 from ..passes.gbuffer import GBuffer
 from ..passes.grouping.centre import CentreDepths
 from ..passes.image_space.pyramid import levels
@@ -117,11 +118,14 @@ class Frame:
                 plan,
                 motion,
                 frame_plan.shadows,
+                frame_plan.captured_shadows,
+                frame_plan.matte_shadows,
             )
         )
         self.clock.spent |= self.uploads.spent
-        if self.uploads.lighting.lacks_maps:
-            run("shadow maps", self.uploads.lighting.draw_maps)
+        for lighting in self.uploads.lightings:
+            if lighting.lacks_maps:
+                run("shadow maps", lighting.draw_maps)
         if plan.backdrop:
             self.backdrop = self._own(Backdrop(device, backdrop_grid(frame_plan.view, device.limits.texture_size)))
         count = levels(frame_plan.prepared.largest, frame_plan.view.resolution)
@@ -224,8 +228,19 @@ class Frame:
             self._draw_visible(self.visibility, view, first)
         else:
             self._draw_shifted(view, first)
+        if self.lit is not None and plan.translucent is not None and plan.translucent.depth and first:
+            self._find_captured_depth(self.lit)
         if self.beside is not None:
             self.beside.sample()
+
+    def _find_captured_depth(self, lit: LitTranslucent) -> None:
+        nodes = bool(self.frame_plan.prepared.captured_nodes)
+
+        def find() -> None:
+            depth = half_depth(self.device, lit.lit, self._centred(), nodes)
+            self._data.add_captured(self.frame_plan.cropped(depth))
+
+        self.clock.run("captured depth", find)
 
     def _draw_shifted(self, view: SampleView, first: bool) -> None:
         """Draws a sample that is a picture of its own, shifted by a part of a pixel."""
@@ -298,7 +313,9 @@ class Frame:
         textures = gbuffer_textures(self.targets.data_surfels) if self.central is None else self.central.bound()
         if self.uploads.previous is not None:
             textures["ps_previous"] = self.uploads.previous
-        program = data.data_program(frame_plan.plan.data_variant, frame_plan.request.passes)
+        program = data.data_program(
+            frame_plan.plan.data_variant, frame_plan.request.passes, frame_plan.plan.matte_light.lit
+        )
         record = view.record_of(program.block, resolution=self.view.resolution, corner=self.view.window[:2])
         self.device.draw(program, self.targets.data_target, uniforms=record, textures=textures)
 
@@ -309,8 +326,9 @@ class Frame:
         """Lights translucent splats for the sample that is drawn, where they are not lit like that."""
         # All samples share the light of translucent splats, except with a lens or shadows of wide lights, whose points
         # are averaged over samples.
-        shadows = self.frame_plan.shadows
-        points = lighting_of_sample(self.frame_plan.request, self.done) if shadows is not None and shadows.wide else 0
+        shadows = self.frame_plan.shadows, *self.frame_plan.captured_shadows.values()
+        wide = any(one is not None and one.wide for one in shadows)
+        points = lighting_of_sample(self.frame_plan.request, self.done) if wide else 0
         if points != lit.lit_by or self.lens is not None:
             lit.light(points, self._centred())
 

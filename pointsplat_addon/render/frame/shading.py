@@ -12,7 +12,7 @@ from ..passes.gbuffer import GBuffer
 from ..passes.shading.averages import averaged
 from ..passes.shading.backdrop import Backdrop
 from ..passes.shading.background import background_program
-from ..passes.shading.shade import shade_program, shade_values
+from ..passes.shading.shade import matte_program, shade_program, shade_values
 from ..passes.tiles import Region
 from ..passes.uniforms import SampleView
 from ..passes.visibility.buffer import VisibilityBuffer
@@ -52,8 +52,13 @@ class Shading:
         self._shade = shade_program(
             plan.variant, plan.lighting, plan.materials, passes, request.samples, coverage, plan.lines, plan.defocus,
             plan.picture, coarse=request.coarse, lattice=lattice_of(plan.sub_samples) if plan.sub_samples else None,
-            indirect=plan.indirect,
+            indirect=plan.indirect, mattes=plan.matte_light.lit,
         )  # fmt: skip
+        self._mattes = None
+        if plan.matte_light.lit:
+            self._mattes = matte_program(
+                plan.variant, plan.matte_light.names, request.samples, lattice_of(plan.sub_samples), plan.background
+            )
         self._background = background_program(
             plan.background_defines,
             scene.transparent,
@@ -62,6 +67,8 @@ class Shading:
             everywhere=not plan.shaded.solid,
             combined=plan.picture,  # other passes are spread over what lies behind groups
             grouped=plan.sub_samples > 0,
+            mattes=plan.matte_light.lit,
+            trained=plan.translucent is not None and plan.translucent.trained,
         )
 
     @property
@@ -111,6 +118,22 @@ class Shading:
         textures = surfaces.bound() | self._uploads.shading | groups | buffer.textures | received
         record = self._record(self._shade, view, **buffer.values)
         self._device.draw(self._shade, target, uniforms=record, textures=textures)
+
+    def shade_mattes(
+        self,
+        view: SampleView,
+        surfaces: GBuffer,
+        groups: dict[str, Texture],
+        buffer: VisibilityBuffer,
+        target: Target,
+    ) -> None:
+        """Writes what shows through mattes among a list of groups, as `shade_groups` has them, and how much of their
+        light shadows leave."""
+        assert self._mattes is not None
+        assert self._uploads.matte_lighting is not None
+        textures = surfaces.bound() | self._uploads.matte_lighting.textures | groups | buffer.textures
+        record = self._record(self._mattes, view, **buffer.values)
+        self._device.draw(self._mattes, target, uniforms=record, textures=textures)
 
     def draw_open(self, view: SampleView, codes: dict[str, Texture], target: Target) -> None:
         """Draws the world where sub-samples are open; `codes`: the groups of sub-samples, by sampler name."""

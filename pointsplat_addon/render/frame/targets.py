@@ -111,9 +111,10 @@ class Pool:
                plan.sub_samples, plan.filter_size, plan.central, plan.background, plan.points, plan.ewa, plan.polygons,
                plan.spheres, plan.lines, plan.variant, plan.options,
                plan.painter and plan.data_variant, plan.defocus, plan.picture, plan.eye_dome,
-               averages.averaged(passes),
+               averages.averaged(passes), plan.matte_light.lit,
                None if plan.translucent is None else
-               (plan.translucent.opaque, plan.translucent.holdout, plan.translucent.centred, plan.coarse),
+               (plan.translucent.opaque, plan.translucent.holdout, plan.translucent.centred, plan.coarse,
+                plan.translucent.mattes),
                (plan.data_variant, data.data(passes)) if plan.data else None)  # fmt: skip
         idle, self._idle = self._idle, None
         if idle is not None and idle[0] == key:

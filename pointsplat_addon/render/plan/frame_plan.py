@@ -28,8 +28,9 @@ from ..passes.output.adaptive import why_everywhere
 from ..passes.outputs import CRYPTO
 from ..passes.shading.averages import averaged
 from ..passes.shading.data import data
-from ..prepare.captured import count_captured
+from ..prepare.captured import casting_on_captured, count_captured, lit_captured
 from ..prepare.in_view import without_invisible_layers
+from ..prepare.mattes import casting_on_mattes, with_mattes
 from ..prepare.meshes.parts import count_triangles
 from ..prepare.negligible import without_negligible
 from ..prepare.painter import with_defocus_among_translucent, with_opaque_among_translucent
@@ -41,7 +42,7 @@ from .auxiliary import auxiliary_picture
 from .lens_view import camera_of_whole_lens
 from .make_plan import ViewToPlan, make_plan
 from .plan import Plan
-from .reasons import Absences, why_no_eye_dome, why_no_indirect
+from .reasons import Absences, why_no_eye_dome, why_no_indirect, why_not_trained
 from .request import Request
 from .technique import Technique, TechniqueInput, confirm_technique, decide_technique
 
@@ -58,6 +59,8 @@ class FramePlan:
     technique: Technique
     prepared: Prepared
     shadows: Shadows | None
+    captured_shadows: dict[int, Shadows | None]  # that captured splats receive, by row of geometries
+    matte_shadows: Shadows | None  # that mattes receive
     plan: Plan
     view: Camera  # what is drawn: the window of request.camera with a margin
     corner: tuple[int, int]  # pixels: the corner of the camera's window in the view's
@@ -175,12 +178,18 @@ def make_frame_plan(
         request = replace(request, passes=frozenset({"combined"}))
         prepared = with_defocus_among_translucent(prepared)
 
+    prepared, mattes, unsupported = with_mattes(scene, prepared, technique.name)
     prepared, out_of_view = without_invisible_layers(
         scene, prepared, with_filter_margin(camera, neighbourhood(request.settings)), store
     )
     scene, reflects, negligible = without_negligible(scene, prepared, camera.view_from_world, store)
     settings = replace(request.settings, technique=technique.name)
+    others = bool(prepared.translucent.point_sets)
     shadows, unshadowed = _shadows(scene, prepared, replace(request, settings=settings), store, clock, limits)
+    captured_shadows, matte_shadows = _captured_shadows(scene, prepared, settings, store, clock, limits, mattes)
+    linear = why_not_trained(
+        settings, _has_opaque(prepared), others, bool(captured_shadows), camera.aperture is not None
+    )
     painter = technique.name == "PAINTER" and prepared.cut.splats > 0
     if painter:
         prepared = with_opaque_among_translucent(
@@ -195,6 +204,7 @@ def make_frame_plan(
         LENS_SAMPLES_BLUR if through_lens else why_not_blurred(scene, camera),
         why_no_indirect(request.settings, request.interactive, technique.name),
         why_no_eye_dome(request.settings, technique.name, _has_opaque(prepared), prepared.out_of_focus is not None),
+        linear,
     )
     ewa = technique.name == "EWA"
     sub_samples = 0
@@ -210,10 +220,14 @@ def make_frame_plan(
         # Captured splats have the pixel filter in them.
         request = replace(request, samples=1)
     plan = make_plan(
-        ViewToPlan(scene, prepared, request, shadows, ewa, painter, reflects, picture, sub_samples, presented, absences)
-    )
+        ViewToPlan(
+            scene, prepared, request, shadows, mattes, matte_shadows, captured_shadows, ewa, painter, reflects,
+            picture, sub_samples, presented, absences,
+        )
+    )  # fmt: skip
     some = _has_opaque(prepared) or prepared.out_of_focus is not None
     lacks_eye_dome = request.settings.use_eye_dome and picture and some and not plan.eye_dome
+    not_trained = settings.captured_blending == "TRAINED" and bool(prepared.captured) and picture and linear
     radius = filter_reach(neighbourhood(request.settings)) if sub_samples else plan.splat_radius(prepared.largest)
     view, corner = with_margin(camera, radius, limits.texture_size)
     return FramePlan(
@@ -222,6 +236,8 @@ def make_frame_plan(
         technique,
         prepared,
         shadows,
+        captured_shadows,
+        matte_shadows,
         plan,
         view,
         corner,
@@ -234,8 +250,15 @@ def make_frame_plan(
             *of_parts,
             *((technique.warning,) if technique.warning else ()),
             *((f"Eye-dome lighting is left out: {absences.eye_dome}",) if lacks_eye_dome else ()),
+            *((f"Captured splats are blended in linear light, not as trained: {linear}",) if not_trained else ()),
             *prepared.warnings,
-            *(shadows.warnings if shadows else ()),
+            *unsupported,
+            *dict.fromkeys(
+                warning
+                for one in (shadows, *captured_shadows.values(), matte_shadows)
+                if one is not None
+                for warning in one.warnings
+            ),
         ),
     )
 
@@ -301,6 +324,29 @@ def _shadows(
     if found.tables is not None:
         clock.spent["shadows"] = 1000 * (time.perf_counter() - before)
     return found, ""
+
+
+def _captured_shadows(
+    scene: Scene,
+    prepared: Prepared,
+    settings: Settings,
+    store: Store,
+    clock: Clock,
+    limits: Limits,
+    mattes: bool,
+) -> tuple[dict[int, Shadows | None], Shadows | None]:
+    """What casts shadows on captured splats, by row of geometries, of those that light changes; and on mattes, if there
+    are some."""
+    before = time.perf_counter()
+
+    def cast_by(casting: Scene) -> Shadows | None:
+        return make_shadows(casting, settings, store, clock.check, limits.texture_size)[0]
+
+    found = {row: cast_by(casting_on_captured(scene, row)) for row in lit_captured(scene, prepared.captured)}
+    on_mattes = cast_by(casting_on_mattes(scene)) if mattes else None
+    if any(one is not None and one.tables is not None for one in (*found.values(), on_mattes)):
+        clock.spent["shadows"] = clock.spent.get("shadows", 0.0) + 1000 * (time.perf_counter() - before)
+    return found, on_mattes
 
 
 def neighbourhood(settings: Settings) -> float:

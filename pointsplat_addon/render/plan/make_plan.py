@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from ...core.scene.cloud import PointCloud
 from ...core.scene.scene import Scene
 from ...core.scene.strands import Strands
 from ...core.surface.appearance import graphs_of
+from ..passes.captured.project import UNLIT, CapturedLighting
 from ..passes.ewa.options import EwaOptions
 from ..passes.ewa.options import options as ewa_options
 from ..passes.gbuffer import Variant
@@ -39,6 +41,9 @@ class ViewToPlan:
     prepared: Prepared  # for the painter and for defocus, with the splats that they draw among the translucent ones
     request: Request
     shadows: Shadows | None  # None: no light casts any
+    mattes: bool  # some polygons are
+    matte_shadows: Shadows | None  # that these receive
+    captured_shadows: Mapping[int, Shadows | None]  # of those that captured splats receive, by row of geometries
     ewa: bool  # the technique of opaque points is EWA
     painter: bool  # the technique is the painter, and there are opaque points
     reflects: bool  # something that is drawn reflects light
@@ -82,7 +87,7 @@ def make_plan(view: ViewToPlan) -> Plan:
     varies = attributes.surface or (translucent is not None and translucent.surface)
     lit = translucent is not None and not translucent.alone
     lighting = _lighting(view, varies, drawn=kinds.solid or lit)
-    normals = bool(lighting) or _indirect(view, kinds) or attributes.surface or "normal" in passes
+    normals = bool(lighting) or view.mattes or _indirect(view, kinds) or attributes.surface or "normal" in passes
     variant, data_variant = _variants(view, kinds, attributes, normals)
     variant = replace(variant, spread=_spreads(view, kinds, variant))
     ewa = _ewa(view, kinds)
@@ -108,6 +113,8 @@ def make_plan(view: ViewToPlan) -> Plan:
         presented=view.presented,
         eye_dome=_eye_dome(view, kinds),
         defocus=view.defocus,
+        captured_light=_captured_light(view),
+        matte_light=_matte_light(view),
         indirect=_indirect(view, kinds),
         backdrop=not view.absences.blurred_world,
         picture=view.picture,
@@ -309,10 +316,40 @@ def _translucent(view: ViewToPlan, kinds: _Kinds) -> TranslucentOptions | None:
     holdout = bool(holdouts[layer.set_of_instance >= 0].any() or holdouts[list(captured)].any())
     grouped = view.sub_samples > 0 and not view.defocus
     opaque = kinds.solid or grouped
-    return translucent_options(
+    found = translucent_options(
         clouds, view.scene.materials, opaque, holdout, view.defocus, grouped, bool(captured),
         bool(view.prepared.captured_nodes),
     )  # fmt: skip
+    wanted = "depth" in view.request.passes
+    return replace(
+        found,
+        mattes=view.mattes and found.captured,
+        depth=wanted and found.captured,
+        trained=found.captured and not view.absences.trained,
+    )
+
+
+def _captured_light(view: ViewToPlan) -> tuple[tuple[int, CapturedLighting], ...]:
+    """What light does to captured splats, by row of geometries, of those that it changes."""
+    if not view.picture:
+        return ()
+    return tuple(
+        (row, CapturedLighting(view.scene.geometries[row].lighting, _lights_and_shadows(view, shadows)))
+        for row, shadows in view.captured_shadows.items()
+    )
+
+
+def _matte_light(view: ViewToPlan) -> CapturedLighting:
+    """What light does to mattes, where there are some."""
+    if not (view.mattes and view.picture):
+        return UNLIT
+    return CapturedLighting("SHADOWED", _lights_and_shadows(view, view.matte_shadows))
+
+
+def _lights_and_shadows(view: ViewToPlan, shadows: Shadows | None) -> tuple[str, ...]:
+    """Names of the defines of lights, the world, and some shadows."""
+    scene = view.scene
+    return *_world(scene), *light_names(scene.lights, 1.0), *(() if shadows is None else _shadows(shadows))
 
 
 def _coarse_translucent(view: ViewToPlan, translucent: TranslucentOptions | None) -> bool:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from ...core.numeric.pixel_filter import FILTER_SIZE
 from ...core.numeric.record import value_record
+from ..passes.captured.project import UNLIT, CapturedLighting
 from ..passes.ewa.options import EwaOptions
 from ..passes.gbuffer import Variant
 from ..passes.pages.point_page import PointOptions
@@ -42,6 +43,9 @@ class Plan:
     )
     filter_size: float = FILTER_SIZE  # pixels: core/numeric/pixel_filter.py
     eye_dome: bool = False  # Combined is darkened by the depths under the pixels' centres: passes/output/eye_dome.py
+    # What light does to captured splats, by row of geometries, of those that it changes.
+    captured_light: tuple[tuple[int, CapturedLighting], ...] = ()
+    matte_light: CapturedLighting = UNLIT  # what light does to mattes, where there are some
     indirect: bool = False  # surfaces receive light from each other, and hide the world
     defocus: bool = False  # translucent splats are drawn together with what is out of focus: passes/defocus/gather.py
 

@@ -38,6 +38,7 @@ PASSES: dict[str, str] = {
     "shade": "light on what is opaque",
     "backdrop": "a picture of the world that is out of focus, once for a view",
     "background": "the world where nothing else is",
+    "mattes": "what shows through meshes that stand for captured surfaces, and shadows on these",
     "spread": "groups brought to pixels by the pixel filter",
     "reach": "how much of each light reaches translucent splats, for all views",
     "captured": "captured splats projected, once for a view",
@@ -49,6 +50,7 @@ PASSES: dict[str, str] = {
     "translucent": "splats blended back to front",
     "enlarge": "a coarse translucent picture to the size of the fine one",
     "difference": "what translucent splats change in a layer, by the pixel filter",
+    "captured depth": "where captured splats have hidden half of the light behind them",
     "add": "a sample with what is translucent to the sums",
     "eye dome": "pixels darkened by what lies in front of their neighbours",
     "adapt": "tiles whose samples agree are found",
@@ -76,6 +78,7 @@ LATE = {
     "occlusion": "there are few triangles, or few that others may hide",
 }
 UNKNOWN = "no sample came so far"
+LINEAR = "linear blending is set"
 
 
 @value_record
@@ -89,6 +92,7 @@ class Absences:
     blurred_world: str = "the camera has no depth of field"
     indirect: str = "indirect light is switched off"  # beyond that nothing sends any
     eye_dome: str = "eye-dome lighting is switched off"
+    trained: str = LINEAR  # blending of captured splats as they were trained
 
 
 def reasons(plan: Plan, passes: frozenset[str], absences: Absences) -> dict[str, str]:
@@ -115,6 +119,10 @@ def reasons(plan: Plan, passes: frozenset[str], absences: Absences) -> dict[str,
         found["averages"] = "no auxiliary pass averages what is painted"
     if not plan.shaded.solid:
         found["shade"] = "points are painted" if plan.painter else "nothing opaque is drawn"
+    if plan.translucent is None or not plan.translucent.depth:
+        found["captured depth"] = "nothing is a captured splat whose depth is asked for"
+    if not plan.matte_light.lit:
+        found["mattes"] = "no mesh stands for captured surfaces"
     if not plan.backdrop:
         found["backdrop"] = absences.blurred_world
     if not plan.background:
@@ -146,6 +154,20 @@ def why_no_eye_dome(settings: Settings, technique: str, opaque: bool, out_of_foc
     if technique != "VISIBILITY":
         return f"the technique {technique} has no depths of one kind for it"
     return "" if opaque else "nothing opaque is drawn"
+
+
+def why_not_trained(settings: Settings, opaque: bool, others: bool, lit: bool, out_of_focus: bool) -> str:
+    """Returns why captured splats are not blended as they were trained; empty where they are. `opaque`, `others`: what
+    else is in view, the others being translucent. `lit`: light changes some. `out_of_focus`: things may be."""
+    if settings.captured_blending != "TRAINED":
+        return LINEAR
+    if opaque:
+        return "something opaque is in view"
+    if others:
+        return "something else that is translucent is in view"
+    if lit:
+        return "some are shadow receivers or relit"
+    return "the camera has depth of field" if out_of_focus else ""
 
 
 def _of_points(plan: Plan, none: str) -> dict[str, str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ...core.lod.captured.cut import CapturedCut, cut_captured
@@ -39,6 +41,28 @@ def captured_instances(scene: Scene, usable: np.ndarray) -> tuple[int, ...]:
     return tuple(row for rows in shown for row in rows)
 
 
+def lit_captured(scene: Scene, instances: tuple[int, ...]) -> tuple[int, ...]:
+    """Returns the rows of the geometries of these instances whose splats light changes."""
+    rows = dict.fromkeys(scene.instances.geometry[list(instances)].tolist())
+    return tuple(row for row in rows if scene.geometries[row].lighting != "CAPTURED")
+
+
+def casting_on_captured(scene: Scene, row: int) -> Scene:
+    """Returns a scene whose shadows are those that fall on the captured splats of a geometry: captured light has those
+    of the capture itself. Mattes stand for captured surfaces."""
+    instances = scene.instances
+    own = scene.geometries[row].lighting == "SHADOWED"
+    return casting_alone(scene, instances.geometry != row if own else np.ones(len(instances), bool))
+
+
+def casting_alone(scene: Scene, which: np.ndarray) -> Scene:
+    """Returns a scene in which of some instances, (I,) bool, those cast shadows that did, and are no mattes."""
+    instances = scene.instances
+    casts = which if instances.casts is None else which & instances.casts.astype(bool)
+    casts = casts if instances.matte is None else casts & ~instances.matte
+    return replace(scene, instances=replace(instances, casts=casts))
+
+
 def captured_nodes(view: View, instances: tuple[int, ...], view_from_object: np.ndarray) -> dict[int, CapturedNodes]:
     """Returns, by row of geometries, what is drawn by nodes: instances that show many splats in each pixel.
 
@@ -73,14 +97,15 @@ def _nodes_of(
     if not dense:
         return None
     view.check()
-    key, asked = (Key(kind, geometry.key) for kind in (Kind.CAPTURED_TREE, Kind.CAPTURED_TREE_ASKED_FOR))
+    trained = view.settings.captured_blending == "TRAINED"
+    key, asked = (Key(kind, geometry.key, other=trained) for kind in (Kind.CAPTURED_TREE, Kind.CAPTURED_TREE_ASKED_FOR))
     if view.interactive and key not in store:
-        store.make_later(key, lambda: build_captured_tree(splats))
+        store.make_later(key, lambda: build_captured_tree(splats, trained))
         return None
     if key not in store and asked not in store and len(dense) < BUILD_COST:
         store.lookup(asked, tuple)
         return None
-    tree = store.lookup(key, lambda: build_captured_tree(splats))
+    tree = store.lookup(key, lambda: build_captured_tree(splats, trained))
     cuts = {i: cut_captured(tree, matrix, view.camera, tolerance) for i, matrix in dense.items()}
     cuts = {i: cut for i, cut in cuts.items() if len(cut) <= WORTHWHILE * len(splats)}
     return CapturedNodes(tree, cuts) if cuts else None

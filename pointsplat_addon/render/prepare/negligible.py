@@ -29,6 +29,7 @@ from ...core.scene.world import World
 from ...core.surface.appearance import graphs_of
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
+from .captured import lit_captured
 from .in_view import ball_of_all_drawn
 from .point_sets import Layer, PointSet
 from .prepare import Prepared
@@ -65,8 +66,11 @@ def without_negligible(
 ) -> tuple[Scene, bool, tuple[tuple[str, str], ...]]:
     """Returns the scene without lights, world and emission that add nothing measurable to the view.
 
-    Also returns whether anything that is drawn reflects light, and what was left out: tuples (what, because).
+    Where light changes captured splats, whose colours have no bound, all stays. Also returns whether anything that is
+    drawn reflects light, and what was left out: tuples (what, because).
     """
+    if lit_captured(scene, prepared.captured):
+        return scene, True, ()
     bounds, notes = reflection(scene, prepared, store), []
     world = _world_or_black(scene, bounds)
     if world is not scene.world:

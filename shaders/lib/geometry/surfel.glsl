@@ -3,7 +3,8 @@
 //           0 empty, PS_POLYGON a polygon (extends over its own pixel only), > 0 a splat, < 0 a splat beside the
 //           pixel's centre, which only its neighbours and coarser levels know
 //           Of what is no splat, see surfel_kind.glsl
-//   shape   Cholesky factor l11, l21, l22 of the splat's covariance in pixels^2, and its material (-1 - m: a holdout).
+//   shape   Cholesky factor l11, l21, l22 of the splat's covariance in pixels^2, and its material (-1 - m: a holdout;
+//           PS_MATTE: a matte).
 //           A uniform disk of radius r has the variance r^2 / 4: the splat's rim lies at 2 sigma
 //   normal  in view space, of the side of the surface's plane that is seen (it may point away from the eye where it is not
 //           the plane's), (0, 0, 0) for a ball; roughness

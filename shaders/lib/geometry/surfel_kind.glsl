@@ -11,6 +11,14 @@
 // Of strands it is 0 or less, but more than PS_BALL: their number, of so many, over that.
 #define PS_STRAND_NUMBERS 1048576.0
 
+// In the channel that holds the material: a mesh that stands for captured surfaces.
+#define PS_MATTE -0.5
+
+bool ps_is_matte(vec4 shape)
+{
+  return abs(shape.w - PS_MATTE) < 0.25;
+}
+
 // Whether something covers the pixel's centre.
 bool ps_is_there(vec4 centre)
 {

@@ -13,8 +13,15 @@ ivec4 ps_light_ends()
 vec3 ps_reached[4];  // known before
 #endif
 
+#ifdef PS_SHADOWED
+vec3 ps_arrived;  // the sum of all light, without shadows
+#endif
+
 vec3 ps_reaching(int index, vec3 light, vec3 position, vec3 normal)
 {
+#ifdef PS_SHADOWED
+  ps_arrived += light;
+#endif
 #if defined(PS_REACHED)
   return light * ps_reached[index];
 #elif defined(PS_SHADOWS)

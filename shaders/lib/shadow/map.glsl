@@ -15,7 +15,8 @@
 #define PS_MAP_BIAS 0.5  // texels: how far above its plane a receiver is not shaded by what it is part of
 #define PS_MAP_BIAS_OF_BALLS 0.8  // the surfaces of other balls rise above that plane within a texel, where they meet
 #define PS_MAP_BIAS_IN_MEDIA 1.5
-#define PS_MAP_RISE_OF_STRANDS 0.25  // pixels: a cell, as wide as thin strands are drawn at least
+#define PS_MAP_BIAS_OF_STRANDS 0.1  // what lies within a wide texel does not shade them, which fur seen from afar shows
+#define PS_MAP_RISE_OF_STRANDS 0.4  // pixels: thin strands are drawn a cell, a quarter of one, wide at least
 #define PS_MAP_ROUNDING 2e-6  // of distances
 #define PS_MAP_STEEPEST 0.1  // cosine: surfaces that light grazes more closely are treated as this one
 #define PS_MAP_BACK vec2(0.1, 0.3)  // cosines, see ps_map_above
@@ -174,7 +175,7 @@ PsMapPlace ps_map_place(PsMapLight light, sampler2D records, vec3 position, vec3
   at.facing = dot(n, ray);
   float cosine = at.facing * inversesqrt(dot(ray, ray));
   above *= ps_map_above(cosine);
-  at.bias = (oriented ? (texel * above + rise) / max(abs(cosine), PS_MAP_STEEPEST) : texel * PS_MAP_BIAS_IN_MEDIA + rise) +
+  at.bias = (oriented ? (texel * above + rise) / max(abs(cosine), PS_MAP_STEEPEST) : texel * (rise > 0.0 ? PS_MAP_BIAS_OF_STRANDS : PS_MAP_BIAS_IN_MEDIA) + rise) +
             PS_MAP_ROUNDING * (abs(q.z) + length(position));
   at.reach = oriented ? texel * (1.0 / PS_MAP_STEEPEST) : 0.0;
   at.near = frame.w;

@@ -6,6 +6,7 @@
 // sample of a picture: PS_SHADOW_SAMPLE is the sample's number. PS_SHADOW_ONE_CELL: samples are so many that each looks
 // at one cell instead of interpolating four. PS_SHADOW_SOLID: only opaque things cast.
 // PS_SHADOW_FIRST: where so many points of the light agree, no others are looked at.
+// PS_RELIT: receivers lie in the tables themselves, as captured splats, and look at them from ps_lift above.
 // PS_SHADOW_SUNS: all lights are suns. PS_SHADOW_HARD: none has a size. PS_SHADOW_SPREAD: see points.glsl.
 
 #include "lib/shadow/points.glsl"
@@ -188,6 +189,10 @@ vec3 ps_table_transmittance(int light, vec3 position, vec3 normal, bool wanted)
 
 #endif
 
+#ifdef PS_RELIT
+vec3 ps_lift;
+#endif
+
 #ifdef PS_SHADOWS
 
 // Share of the light of light `light` that reaches a point in view space. `normal`: unit, of the surface there, or zero where
@@ -207,6 +212,9 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal, bool wanted)
   share *= ps_pane_share(light, position, normal, wanted);
 #endif
 #ifdef PS_SHADOW_TABLES
+#ifdef PS_RELIT
+  position += ps_lift;
+#endif
   share *= ps_table_transmittance(light, position, normal, wanted);
 #endif
   return share;

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import bpy
 import numpy as np
@@ -105,6 +105,9 @@ def _column_or_none(dtype: type, values: list) -> np.ndarray | None:
 
 
 def _default_row(table: MaterialTable) -> MaterialRow:
+    """What faces without a material have in Cycles: a dull surface before Blender 5, then the Principled BSDF."""
+    if bpy.app.version < (5, 0, 0):
+        table = replace(table, specular=np.zeros(1, np.float32))
     names = (f.name for f in fields(MaterialTable) if getattr(getattr(table, f.name), "dtype", None) == np.float32)
     constants = {name: tuple(np.ravel(getattr(table, name)[0]).tolist()) for name in names}
     return MaterialRow(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 
 import numpy as np
@@ -13,18 +14,20 @@ from ....core.scene.camera import Camera
 from ....core.scene.captured import CapturedSplats
 from ....core.scene.scene import Geometry, Scene
 from ....core.splat import captured
+from ....core.surface.neighbourhoods.captured import captured_normals
 from ...cache.keys import Key, Kind
 from ...cache.store import Store
 from ...device.packing import PAGE_WIDTH, paged
 from ...device.protocol import Device, Texture
 from ...passes.captured.page import CapturedPage
-from ...passes.captured.project import PROJECT, project_program
+from ...passes.captured.project import UNLIT, CapturedLighting, project_program
 from ...passes.translucent.light import draw_list_rows
 from ...passes.translucent.lit_splats import LitSplats
 from ...passes.uniforms import SampleView
 from ...plan.plan import Plan
 from ...prepare.captured import CapturedNodes, view_from_splats
 from ...prepare.prepare import Prepared
+from .lighting import LightingUploads
 from .scope import UploadScope
 from .translucent import TranslucentUploads
 
@@ -41,6 +44,8 @@ class _Shown:
     instances: tuple[int, ...]  # of the scene
     rows: tuple[np.ndarray | None, ...]  # of each instance: (R,) int64 of the splats that the cut names; None: all
     nodes: bool = False  # they stand for many splats
+    light: CapturedLighting = UNLIT  # what it does to them
+    lighting: LightingUploads | None = None  # what that reads
 
     @property
     def most(self) -> int:
@@ -73,19 +78,30 @@ class CapturedUploads:
     """The captured splats of one frame."""
 
     def __init__(
-        self, scope: UploadScope, store: Store, scene: Scene, camera: Camera, prepared: Prepared, plan: Plan
+        self,
+        scope: UploadScope,
+        store: Store,
+        scene: Scene,
+        camera: Camera,
+        prepared: Prepared,
+        plan: Plan,
+        lighting: Mapping[int, LightingUploads],
     ) -> None:
-        """DeviceError: there are more splats than textures hold."""
+        """`lighting`: of those geometries, by row, that light changes. DeviceError: there are more splats than textures
+        hold."""
         self._scope, self._plan, self._scene = scope, plan, scene
+        self._trained = plan.translucent is not None and plan.translucent.trained
         self._varies = camera.aperture is not None  # each sample may have a view of its own
         self._order_key = scope.kept.own_key(Kind.CAPTURED_ORDER)
         self._shown: list[_Shown] = []
-        first = 0
+        first, lights = 0, dict(plan.captured_light)
         for row, group in groupby(prepared.captured, lambda instance: int(scene.instances.geometry[instance])):
             for one in _shown(
-                scope, store, scene.geometries[row], first, tuple(group), prepared.captured_nodes.get(row)
-            ):
-                self._shown.append(one)
+                scope, store, scene.geometries[row], first, tuple(group), prepared.captured_nodes.get(row),
+                row in lights, self._trained,
+            ):  # fmt: skip
+                lit = {"light": lights[row], "lighting": lighting[row]} if row in lights else {}
+                self._shown.append(replace(one, **lit))
                 first += len(one.instances)
         self.sort_ms: float | None = None  # that finding and sorting what is seen took; None: nothing has changed
         self.count = 0  # splats that the view shows
@@ -100,7 +116,8 @@ class CapturedUploads:
         """Whether one picture of the splats alone is drawn, which the same view can show again."""
         options = self._plan.translucent
         assert options is not None
-        return options.alone and not (options.opaque or options.holdout or self._varies)
+        read = bool(self._plan.captured_light) or options.depth
+        return options.alone and not (options.opaque or options.holdout or self._varies or read)
 
     @property
     def picture(self) -> Texture | None:
@@ -132,15 +149,19 @@ class CapturedUploads:
         lit.listed = {} if self._listed is None else {"ps_listed": self._listed}
         for one in self._shown:
             page = one.page
-            program = project_program(options, page.sh_texels, page.sh_shift, one.splats.antialiased, one.nodes)
-            record = view.record(
-                PROJECT,
+            program = project_program(
+                options, page.sh_texels, page.sh_shift, one.splats.antialiased, one.nodes, one.light
+            )
+            record = view.record_of(
+                program.block,
                 slopes=self._slopes,
                 instances=(one.first, one.first + len(one.instances)),
                 first=lit.count,
                 count=self.count,
+                light_count=len(self._scene.lights),
             )
             textures = {**page.textures, "ps_order": self._order.texture, "ps_views": self._views}
+            textures |= {} if one.lighting is None else one.lighting.textures
             self._scope.device.draw(program, lit.target, uniforms=record, textures=textures)
 
     def _view_rows(self, views: list[np.ndarray], camera: Camera) -> np.ndarray:
@@ -159,7 +180,13 @@ class CapturedUploads:
         """The draw list of a view; that of before where nothing has changed."""
         order: CapturedOrder = self._scope.lookup(self._order_key, CapturedOrder)
         numbers = (*camera.pixel_from_view(), *camera.window, *camera.resolution, camera.near, camera.far)
-        key = (numbers, self._varies, *(one.content for one in self._shown), *(view.tobytes() for view in views))
+        key = (
+            numbers,
+            self._varies,
+            self._trained,
+            *(one.content for one in self._shown),
+            *(view.tobytes() for view in views),
+        )
         if order.texture is not None and order.key == key:
             return order
         before = time.perf_counter()
@@ -206,23 +233,36 @@ def _shown(
     first: int,
     instances: tuple[int, ...],
     nodes: CapturedNodes | None,
+    lit: bool,
+    trained: bool,
 ) -> list[_Shown]:
-    """The splats of one geometry, and the nodes that stand for some of them; `first`: of all instances."""
+    """The splats of one geometry, and the nodes that stand for some of them; `first`: of all instances. `lit`: light
+    changes them. `trained`: they are blended in display values."""
     splats, found = geometry.captured, []
     assert splats is not None
     cuts = {} if nodes is None else nodes.cuts
     rows = {i: cuts[i].splats if i in cuts else None for i in instances}
     rows = {i: some for i, some in rows.items() if some is None or len(some)}
     if rows:
-        page = scope.lookup(Key(Kind.CAPTURED_PAGE, geometry.key), lambda: CapturedPage(scope.device, splats))
+        normals = _normals(store, Key(Kind.CAPTURED_NORMALS, geometry.key), splats) if lit else None
+        key = Key(Kind.CAPTURED_PAGE, geometry.key)
+        page = scope.lookup(key, lambda: CapturedPage(scope.device, splats, normals=normals))
         largest = store.lookup(Key(Kind.LARGEST_SCALES, geometry.key), lambda: captured.bounds_of_scales(splats))
         found.append(_Shown(geometry.key, splats, page, largest, first, tuple(rows), tuple(rows.values())))
     if nodes is not None:
-        tree = nodes.tree
+        tree, merged = nodes.tree, nodes.tree.nodes
+        if trained and tree.trained_base is not None:
+            merged = replace(merged, base=tree.trained_base)
+        normals = _normals(store, Key(Kind.CAPTURED_NODE_NORMALS, geometry.key), merged) if lit else None
         page = scope.lookup(
-            Key(Kind.CAPTURED_NODE_PAGE, geometry.key), lambda: CapturedPage(scope.device, tree.nodes, tree.means)
+            Key(Kind.CAPTURED_NODE_PAGE, geometry.key, other=trained),
+            lambda: CapturedPage(scope.device, merged, tree.means, normals),
         )
         drawn = tuple(cut.nodes for cut in cuts.values())
-        key, largest = f"{geometry.key} nodes", tree.nodes.scale[:, 2]
-        found.append(_Shown(key, tree.nodes, page, largest, first + len(rows), tuple(cuts), drawn, nodes=True))
+        key, largest = f"{geometry.key} nodes", merged.scale[:, 2]
+        found.append(_Shown(key, merged, page, largest, first + len(rows), tuple(cuts), drawn, nodes=True))
     return found
+
+
+def _normals(store: Store, key: Key, splats: CapturedSplats) -> np.ndarray:
+    return store.lookup(key, lambda: captured_normals(splats))

@@ -42,7 +42,16 @@ class ArrayIdentity:
 class LightingUploads:
     """What the shading of one frame reads."""
 
-    def __init__(self, scope: UploadScope, store: Store, scene: Scene, plan: Plan, shadows: Shadows | None) -> None:
+    def __init__(
+        self,
+        scope: UploadScope,
+        store: Store,
+        scene: Scene,
+        plan: Plan,
+        shadows: Shadows | None,
+        materials: bool = True,
+    ) -> None:
+        """`materials`: what is lit has some."""
         self._scope, self._store, self._scene, self._plan = scope, store, scene, plan
         self._tables = None if shadows is None else shadows.tables
         self._maps = None if shadows is None else shadows.maps
@@ -53,7 +62,7 @@ class LightingUploads:
         self.materials: dict[str, Texture] = {}  # the material table, by sampler name, where a pass reads it
         bare = not (plan.shades or (plan.polygons and plan.variant.color) or plan.lines or plan.options.cull)
         lit = plan.solid or (plan.translucent is not None and not plan.translucent.alone)
-        if lit and not bare:
+        if materials and lit and not bare:
             texture = scope.device.texture((4, len(table)), "RGBA32F", table.reshape(-1))
             self.materials["ps_materials"] = scope.own(texture)
         self._lights: Texture | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -37,21 +38,35 @@ class Uploads:
         plan: Plan,
         motion: bool = False,
         shadows: Shadows | None = None,
+        captured_shadows: Mapping[int, Shadows | None] | None = None,
+        matte_shadows: Shadows | None = None,
     ) -> None:
-        """`motion`: a pass asks how instances move. DeviceError: a texture is too large, or memory is full."""
+        """`motion`: a pass asks how instances move. `captured_shadows`: that captured splats receive, by
+        geometry; `matte_shadows`: that mattes do. DeviceError: a texture is too large, or memory is full."""
         self.scene, self.camera, self.prepared = scene, camera, prepared
         self._middle = prepared.view_from_object
         self._scope = UploadScope(kept)
         self.translucent: TranslucentUploads | None = None
         self.captured: CapturedUploads | None = None
+        self._captured_lighting: dict[int, LightingUploads] = {}
+        self.matte_lighting: LightingUploads | None = None
         self.previous: Texture | None = None  # clip space a frame before from today's view space
         try:
             self.lighting = LightingUploads(self._scope, store, scene, plan, shadows)
+            if plan.matte_light.lit:
+                self.matte_lighting = self._lighting_of_captured(
+                    store, scene, plan, plan.matte_light.names, matte_shadows
+                )
             self.points = PointUploads(self._scope, scene, prepared, plan)
             self.polygons = PolygonUploads(self._scope, store, scene, prepared, plan, camera)
             self.strands = StrandUploads(self._scope, store, scene, prepared, plan)
             if plan.translucent is not None and plan.translucent.captured:
-                self.captured = CapturedUploads(self._scope, store, scene, camera, prepared, plan)
+                self._captured_lighting = {
+                    row: self._lighting_of_captured(store, scene, plan, light.names, (captured_shadows or {})[row])
+                    for row, light in plan.captured_light
+                }
+                lighting = self._captured_lighting
+                self.captured = CapturedUploads(self._scope, store, scene, camera, prepared, plan, lighting)
             if plan.translucent is not None and not plan.translucent.alone:
                 self.translucent = TranslucentUploads(self._scope, scene, camera, prepared, plan, self.lighting)
             self._upload_view()
@@ -63,10 +78,21 @@ class Uploads:
             self.release()
             raise
 
+    def _lighting_of_captured(
+        self, store: Store, scene: Scene, plan: Plan, names: tuple[str, ...], shadows: Shadows | None
+    ) -> LightingUploads:
+        return LightingUploads(self._scope, store, scene, replace(plan, lighting=names), shadows, materials=False)
+
     @property
     def shared(self) -> dict[str, Texture]:
         """What several passes of geometry read, by sampler name: the material table, and the instances of points."""
         return {**self.lighting.materials, **self.points.instances}
+
+    @property
+    def lightings(self) -> tuple[LightingUploads, ...]:
+        """What lights everything, and what lights captured splats."""
+        mattes = () if self.matte_lighting is None else (self.matte_lighting,)
+        return self.lighting, *mattes, *self._captured_lighting.values()
 
     @property
     def shading(self) -> dict[str, Texture]:
@@ -92,7 +118,8 @@ class Uploads:
         self.points.mark_moved()
 
     def _upload_view(self) -> None:
-        self.lighting.upload_view(self.camera)
+        for lighting in self.lightings:
+            lighting.upload_view(self.camera)
         self.points.upload_view(self.prepared)
         self.strands.upload_view(self.prepared)
         if self.translucent is not None:

@@ -124,6 +124,8 @@ class Visibility:
         leaders, lists = groups.leaders, targets.lists(groups.leaders.size)
         lists.surfaces.clear()
         self._device.clear(lists.target)
+        if lists.matte_target is not None:
+            self._device.clear(lists.matte_target)
         if self._plan.solid:
             run("attributes", lambda: self._write_attributes(view, leaders, lists.surfaces, self._plan.variant))
             received: dict[str, Texture] = {}
@@ -137,6 +139,15 @@ class Visibility:
             )
         if targets.behind is not None:
             run("background", lambda: self._shading.draw_open(view, groups.codes, targets.behind_target))
+        if (matte_target := lists.matte_target) is not None:
+            groups_of = leaders.bound | groups.codes
+            behind = {} if targets.behind is None else {"ps_behind": targets.behind}
+            run(
+                "mattes",
+                lambda: self._shading.shade_mattes(
+                    view, lists.surfaces, groups_of | behind, targets.buffer, matte_target
+                ),
+            )
         run("spread", lambda: self._spread(view, tile, lists.shaded, sums))
         return lists.shaded
 
@@ -163,7 +174,11 @@ class Visibility:
     def _identities(self) -> np.ndarray:
         polygons = [] if self._polygons is None else self._polygons.draws
         strands = [] if self._strands is None else self._strands.draws
-        return identities(self._device, self._targets.buffer, self._uploads.points.draws, polygons, strands)
+        found = identities(self._device, self._targets.buffer, self._uploads.points.draws, polygons, strands)
+        matte = self._uploads.scene.instances.matte
+        if matte is not None:
+            found[np.append(matte, False)[found[..., 0]]] = -1  # they are not seen
+        return found
 
     def _draw_primitives(self, view: SampleView) -> None:
         shared, polygons, strands = self._uploads.shared, self._polygons, self._strands

@@ -39,7 +39,7 @@ class PolygonsInView:
     member: np.ndarray  # (I,) int: which mesh of the page, or chunk of the mesh
     instance: np.ndarray  # (I,) int: row of the scene's instances
     view_from_object: np.ndarray  # (I, 4, 4) float64, from positions relative to the mesh's origin
-    holdout: np.ndarray  # (I,) bool
+    holdout: np.ndarray  # (I,) int: see _holdout
     rectangle: np.ndarray  # (I, 4) float64: see `places_in_picture`
     depth: np.ndarray  # (I, 2) float64: nearest and farthest of the box
     triangles: np.ndarray  # (I,) int
@@ -141,5 +141,6 @@ def _from_origins(view_from_object: np.ndarray, origin: np.ndarray) -> np.ndarra
 
 
 def _holdout(instances: Instances, rows: np.ndarray) -> np.ndarray:
-    """Returns whether instances (I,) cut holes, (I,) bool."""
-    return np.zeros(len(rows), bool) if instances.holdout is None else instances.holdout[rows].astype(bool)
+    """Returns which instances (I,) cut holes, 1, and which are mattes, 2: (I,) int."""
+    holdout = np.zeros(len(rows), int) if instances.holdout is None else instances.holdout[rows].astype(int)
+    return holdout if instances.matte is None else np.where(instances.matte[rows], 2, holdout)

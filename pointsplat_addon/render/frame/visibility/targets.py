@@ -81,7 +81,8 @@ class LayerTargets:
         self._owned: list[Any] = []
         self.layer, self.difference = (self._texture(device, size, "RGBA32F") for _ in range(2))
         self.opaque = None if plan.translucent.centred else self._texture(device, size, "RGBA32F")
-        self.place = self._texture(device, size, "RG32F")  # depth, group
+        # Depth, group; with mattes what shadows leave of the light on them.
+        self.place = self._texture(device, size, "RGBA32F" if plan.translucent.mattes else "RG32F")
         # The share of a pixel's alpha that holdouts take away.
         self.cut = self._texture(device, size, "RGBA32F") if plan.translucent.holdout else None
         opaque = [] if self.opaque is None else [self.opaque]
@@ -117,9 +118,14 @@ class _Lists:
         self.surfaces = GBuffer(device, plan.variant, size)
         self.shaded = {name: device.texture(size, "RGBA32F") for name in names}
         self.target: Target = device.target(list(self.shaded.values()))
+        self.matte_target: Target | None = None  # the picture, and what shadows leave of the light on mattes
+        if plan.matte_light.lit:
+            self.shaded["ps_matte"] = matte = device.texture(size, "RGBA32F")
+            self.matte_target = device.target([self.shaded["ps_combined"], matte])
 
     def release(self) -> None:
-        for item in (self.target, *self.shaded.values(), self.surfaces):
+        targets = (self.target, *(() if self.matte_target is None else (self.matte_target,)))
+        for item in (*targets, *self.shaded.values(), self.surfaces):
             item.release()
 
 

@@ -197,13 +197,14 @@ class TranslucentLayers:
     ) -> None:
         targets, groups, buffer = self._targets, self._targets.groups, self._targets.buffer
         program = expand_program(
-            targets.behind is not None, groups.places is not None, self._centred, self._options.open_apart
-        )
+            targets.behind is not None, groups.places is not None, self._centred, self._options.open_apart,
+            self._options.mattes,
+        )  # fmt: skip
         record = view.record(EXPAND, sub_samples=members.size[0], layer=layer, **buffer.values)
         named = {"ps_starts": groups.starts, "ps_places": groups.places, "ps_behind": targets.behind}
         textures = {name: texture for name, texture in named.items() if texture is not None}
         textures |= {"ps_depths": buffer.depths, "ps_combined": shaded["ps_combined"], "ps_members": members}
-        textures |= groups.codes
+        textures |= groups.codes | ({"ps_matte": shaded["ps_matte"]} if self._options.mattes else {})
         region.draw(self._device, program, self._layers.expanded, uniforms=record, textures=textures)
 
     def _blend(self, view: SampleView, tiles: np.ndarray, pixels: int, place: Texture | None) -> None:

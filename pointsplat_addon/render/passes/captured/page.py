@@ -3,6 +3,7 @@
   rotation   quaternion w, x, y, z
   scale      standard deviations along the splat's own axes
   means      of nodes alone: core.lod.captured.tree
+  normal     of those that light changes alone: core.surface.neighbourhoods.captured
 and `harmonics`, several texels a splat: its coefficients, channel by channel, degree 0 first.
 """
 
@@ -22,8 +23,15 @@ class CapturedPage:
     """The splats of one geometry on the device; `textures` by sampler name."""
 
     @releases_on_failure
-    def __init__(self, device: Device, splats: CapturedSplats, means: np.ndarray | None = None) -> None:
-        """means: (N, 3) float32, of nodes (core.lod.captured.tree). DeviceError: textures do not hold all splats."""
+    def __init__(
+        self,
+        device: Device,
+        splats: CapturedSplats,
+        means: np.ndarray | None = None,
+        normals: np.ndarray | None = None,
+    ) -> None:
+        """means: (N, 3) float32, of nodes (core.lod.captured.tree). normals: (N, 3) float32, or None where light does
+        not change them. DeviceError: textures do not hold all splats."""
         self.count = len(splats)
         self.sh_texels = sh_texels(splats)
         self.sh_shift = sh_shift(device)
@@ -34,6 +42,8 @@ class CapturedPage:
         self._upload("scale", splats.scale)
         if means is not None:
             self._upload("means", means)
+        if normals is not None:
+            self._upload("normal", normals)
         higher = () if splats.sh is None else (splats.sh.reshape(self.count, -1),)
         self._upload("harmonics", splats.base, *higher, texels=self.sh_texels, shift=self.sh_shift)
 

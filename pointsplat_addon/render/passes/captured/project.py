@@ -2,43 +2,91 @@
 
 Texels of `views`, four for each instance: three rows of view_from_object, with the splats' origin; where the eye is in
 the object, or where a parallel camera looks there, and whether the instance cuts a hole.
+
+Where light changes them, they are lit here, too (shaders/lib/captured/lit.glsl).
 """
 
 from __future__ import annotations
 
+from ....core.numeric.record import value_record
 from ....core.splat.captured import LEAST_ALPHA, LOW_PASS
-from ....shading.interface import Interface
+from ....shading.interface import Block, Interface
+from ..shading.lighting import (
+    LIGHT_FIELDS,
+    MOST_LIGHT_POINTS,
+    SAMPLE_FIELDS,
+    lighting_defines,
+    lighting_samplers,
+    looks_at_points,
+)
 from ..translucent.options import TranslucentOptions, lit_outputs
-from ..uniforms import CAMERA_FIELDS, block
+from ..uniforms import CAMERA_FIELDS, Fields, block
 
-PROJECT = block(
-    "ProjectCaptured",
-    CAMERA_FIELDS,
-    (
-        ("vec4", "slopes"),  # least x and y, greatest x and y: core.splat.captured.slope_limits
-        ("ivec2", "instances"),  # the first of those that the page shows, and the one behind the last
-        ("int", "first"),  # texel of the list's first splat in what is written
-        ("int", "count"),  # of the splats in the list
-    ),
+_FIELDS: Fields = (
+    ("vec4", "slopes"),  # least x and y, greatest x and y: core.splat.captured.slope_limits
+    ("ivec2", "instances"),  # the first of those that the page shows, and the one behind the last
+    ("int", "first"),  # texel of the list's first splat in what is written
+    ("int", "count"),  # of the splats in the list
 )
 
 
+@value_record
+class CapturedLighting:
+    """What light does to captured splats."""
+
+    kind: str = "CAPTURED"  # one of core.scene.settings.LIGHTINGS
+    names: tuple[str, ...] = ()  # PS_ names of lights and of the shadows of what casts onto them
+
+    @property
+    def lit(self) -> bool:
+        """Whether light changes them."""
+        return self.kind != "CAPTURED"
+
+    @property
+    def sampled(self) -> bool:
+        """Whether each sample of a picture looks at other points of lights."""
+        return self.lit and "PS_SHADOW_SAMPLE" in self.names
+
+
+UNLIT = CapturedLighting()
+
+
+def _block(light: CapturedLighting) -> Block:
+    """The uniforms of the program that projects splats."""
+    lit = LIGHT_FIELDS if light.lit else ()
+    return block("ProjectCaptured", CAMERA_FIELDS, _FIELDS, lit, SAMPLE_FIELDS if light.sampled else ())
+
+
 def project_program(
-    options: TranslucentOptions, sh_texels: int, sh_shift: int, antialiased: bool, nodes: bool = False
+    options: TranslucentOptions,
+    sh_texels: int,
+    sh_shift: int,
+    antialiased: bool,
+    nodes: bool = False,
+    light: CapturedLighting = UNLIT,
 ) -> Interface:
     """Returns the program that projects the splats of one page. `sh_texels`, `sh_shift`: as of the page.
-    `nodes`: they stand for many splats."""
-    named = {"PS_ANTIALIASED": antialiased, "PS_AMONG_OPAQUE": options.opaque, "PS_HOLDOUT": options.holdout}
-    named |= {"PS_TINT": options.tint, "PS_NODES": nodes}
+    `nodes`: they stand for many splats. `light`: what it does to them."""
+    named = {"PS_ANTIALIASED": antialiased, "PS_AMONG_OPAQUE": options.fronts, "PS_HOLDOUT": options.holdout}
+    named |= {"PS_TINT": options.tint, "PS_NODES": nodes, "PS_TRAINED": options.trained, f"PS_{light.kind}": light.lit}
+    lighting = light.names if light.lit else ()
     constants = {
         "PS_SH_TEXELS": sh_texels, "PS_SH_SHIFT": sh_shift, "PS_SH_MASK": (1 << sh_shift) - 1,
         "PS_LOW_PASS": LOW_PASS, "PS_LEAST_ALPHA": LEAST_ALPHA,
     }  # fmt: skip
     read = ("order", "views", "position", "rotation", "scale", "harmonics", *(("means",) if nodes else ()))
+    read += ("normal",) if light.lit else ()
     return Interface(
-        "captured", fragment="captured/project.frag", block=PROJECT,
-        samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in read),
+        "captured", fragment="captured/project.frag", block=_block(light),
+        samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
         outputs=tuple(("vec4", f"out_{name}") for name in lit_outputs(options)),
-        defines=(*((name, repr(value)) for name, value in constants.items()),
+        defines=(*lighting_defines(lighting), *_taps(lighting),
+                 *((name, repr(value)) for name, value in constants.items()),
                  *((name, "1") for name, on in named.items() if on)),
     )  # fmt: skip
+
+
+def _taps(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+    """Splats overlap: each looks at other points of wide lights than its neighbours."""
+    taps = (("PS_SHADOW_TAPS", str(MOST_LIGHT_POINTS)),) if "PS_SHADOW_TABLES" in lighting else ()
+    return (*taps, *((("PS_SHADOW_SPREAD", "1"),) if looks_at_points(lighting) else ()))

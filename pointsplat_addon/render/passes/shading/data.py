@@ -28,14 +28,15 @@ def _block(wanted: tuple[str, ...]) -> Block:
     return block("Data", CAMERA_FIELDS, position if "position" in wanted else (), vector if "vector" in wanted else ())
 
 
-def data_program(variant: Variant, passes: frozenset[str]) -> Interface:
-    """Returns the program of the pass `data`."""
+def data_program(variant: Variant, passes: frozenset[str], mattes: bool = False) -> Interface:
+    """Returns the program of the pass `data`. `mattes`: some of what is there is not seen."""
     wanted = data(passes)
     samplers = list(variant.samplers(only=("centre", "shape", "normal", "owner")))
     if "vector" in wanted:
         samplers.append(("FLOAT_2D", "ps_previous"))
     names = [DATA[name][0] for name in wanted]
     names += [name for name in ("PS_OWNER", "PS_VELOCITY") if name in variant.defines]
+    names += ["PS_MATTES"] if mattes else []
     return Interface(
         "data", fragment="shading/data.frag", block=_block(wanted), samplers=tuple(samplers),
         outputs=tuple(("vec4", DATA[name][1]) for name in wanted),

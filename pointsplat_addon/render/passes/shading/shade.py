@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from ....core.numeric.lattice import Lattice
 from ....core.scene.scene import Scene
 from ....shading.interface import Block, Interface
@@ -71,13 +73,14 @@ def shade_program(
     coarse: bool = False,
     lattice: Lattice | None = None,
     indirect: bool = False,
+    mattes: bool = False,
 ) -> Interface:
     """Returns the program that shades. `lighting`, `materials`: the PS_ names of what shines and of what surfaces do
     with it. Wide lights are sampled at as many points as the `samples` of a picture leave over from LIGHT_POINTS.
     `coverage`: edges are soft. `lines`: there are strands. `focus`: only what is in focus, with its depth. `combined`:
     the picture, not only passes beside it. `coarse`: nodes are so wide that they would lie in the shadow of what they
     stand for. `lattice`: surfels are groups of sub-samples of this one. `indirect`: textures tell what they
-    receive from the world and from each other."""
+    receive from the world and from each other. `mattes`: some groups are, which `matte_program` shades."""
     grouped = lattice is not None
     footprint = lattice if combined and {"PS_SHADOW_MAPS", "PS_SHADOW_PANES"} & set(lighting) else None
     read = variant.samplers(only=("centre", "shape", "normal", "color", "emission"))
@@ -86,7 +89,7 @@ def shade_program(
     read += INDIRECT_SAMPLERS if indirect else ()
     flags = {"PS_COVERAGE": coverage, "PS_STRANDS": lines and variant.normal, "PS_FOCUS": focus,
              "PS_AUXILIARY_ONLY": not combined, "PS_GROUPED": grouped, "PS_FOOTPRINT": footprint is not None,
-             "PS_INDIRECT": indirect,
+             "PS_INDIRECT": indirect, "PS_MATTES": mattes,
              "PS_COARSE": coarse and any("SHADOW" in name for name in lighting)}  # fmt: skip
     names = (*variant.defines, *materials, *averaged_defines(passes), *(name for name, on in flags.items() if on))
     # A sample of groups is a whole picture: it looks at all points, but only where the first ones disagree.
@@ -105,4 +108,22 @@ def shade_program(
         outputs=(*averaged_outputs(passes, combined), *((FOCUS_OUTPUT,) if focus else ())),
         samplers=(*read, ("FLOAT_2D", "ps_materials"), *lighting_samplers(lighting)),
         defines=(*lighting_defines(lighting), *taps, *cells, *((name, "1") for name in names)),
+    )  # fmt: skip
+
+
+def matte_program(
+    variant: Variant, lighting: tuple[str, ...], samples: int, lattice: Lattice, behind: bool
+) -> Interface:
+    """Returns the program that shades mattes among groups of sub-samples: as dark as shadows on a white surface are.
+
+    `lighting`: as of `shade_program`, with the shadows of what was added to a capture. `behind`: something shows
+    through.
+    """
+    variant = replace(variant, color=False, surface=False, emission=False, spread=False)
+    made = shade_program(variant, lighting, (), frozenset({"combined"}), samples, lattice=lattice)
+    read = tuple(one for one in made.samplers if one[1] != "ps_materials")
+    return replace(
+        made, name="mattes", samplers=(*read, *((("FLOAT_2D", "ps_behind"),) if behind else ())),
+        outputs=(*made.outputs, ("vec4", "out_matte")),
+        defines=(*made.defines, ("PS_CATCHER", "1"), ("PS_SHADOWED", "1"), *((("PS_BEHIND", "1"),) if behind else ())),
     )  # fmt: skip

@@ -47,6 +47,9 @@ def draw_program(options: TranslucentOptions, channel: str, listed: bool = False
         defines += [("PS_CAPTURED", "1"), *((name, repr(value)) for name, value in constants.items())]
     if options.nodes:
         defines.append(("PS_NODES", "1"))
+    if options.mattes and options.opaque:
+        varyings.append(("flat", "float", "v_size"))
+        defines.append(("PS_MATTES", "1"))
     if options.tiled:
         read.append("tiles")
         defines += [("PS_TILED", "1"), TILE_DEFINE]
@@ -95,8 +98,9 @@ SHOW = Interface(
 
 def add_program(options: TranslucentOptions) -> Interface:
     """Returns the program that adds one sample's picture to the sums."""
+    named = {"PS_HOLDOUT": options.holdout, "PS_TRAINED": options.trained}
     return Interface(
         "add", fragment="translucent/add.frag",
         samplers=(("FLOAT_2D", "ps_layer"), *((("FLOAT_2D", "ps_cut"),) if options.holdout else ())),
-        outputs=(("vec4", "out_combined"),), defines=(("PS_HOLDOUT", "1"),) if options.holdout else (),
+        outputs=(("vec4", "out_combined"),), defines=tuple((name, "1") for name, on in named.items() if on),
     )  # fmt: skip

@@ -74,7 +74,7 @@ def light_program(
     read += tuple(name for name, on in options.attributes if on)
     read += ("share",) if options.defocus and options.fuzzy else ()
     read += tuple(f"reach_{i}" for i in range(_reach_textures(reached, colored)))
-    named = {"PS_MEDIA": options.media, "PS_AMONG_OPAQUE": options.opaque and not options.defocus}
+    named = {"PS_MEDIA": options.media, "PS_AMONG_OPAQUE": options.fronts}
     named |= {"PS_KERNELS": options.kernels, "PS_HOLDOUT": options.holdout, "PS_CULL": options.cull}
     named |= {
         "PS_FUZZY_DISCONNECTED": options.disconnected,

@@ -29,12 +29,20 @@ class TranslucentOptions:
     captured: bool = False  # some are captured splats: passes/captured; then all are looked at in pixels' centres
     alone: bool = False  # and there are no others
     nodes: bool = False  # and some are nodes that stand for many: core/lod/captured
+    depth: bool = False  # the pass Depth asks for captured splats: passes/captured/half_depth.py
+    trained: bool = False  # they are blended in display values, as training did, over the world alone
+    mattes: bool = False  # meshes stand for the surfaces of some captured splats
 
     @property
     def centred(self) -> bool:
         """Whether all are looked at in pixels' centres. Coloured extinction has three transmittances: what blending
         changes is then told by what it began with."""
         return self.captured and not self.tint
+
+    @property
+    def fronts(self) -> bool:
+        """Whether depths across each splat are known, not only those of centres."""
+        return (self.opaque or self.depth) and not self.defocus
 
     @property
     def open_apart(self) -> bool:
@@ -91,7 +99,7 @@ def options(
 
 def lit_outputs(options: TranslucentOptions) -> tuple[str, ...]:
     """Returns what is written of each splat before it is blended: see light.py."""
-    front = ("front",) if options.opaque and not options.defocus else ()
+    front = ("front",) if options.fronts else ()
     return ("centre", "shape", "source", *front, *(("tint",) if options.tint else ()))
 
 

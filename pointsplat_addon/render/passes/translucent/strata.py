@@ -38,15 +38,21 @@ ADD_TILE = Interface(
 CODES = (("UINT_2D", "ps_first"), ("UINT_2D", "ps_second"))
 
 
-def expand_program(behind: bool, places: bool, empty: bool = False, apart: bool = False) -> Interface:
+def expand_program(
+    behind: bool, places: bool, empty: bool = False, apart: bool = False, mattes: bool = False
+) -> Interface:
     """Returns the program that writes a layer of each pixel and its depth.
 
     `behind`: open sub-samples show something. `places`: the list of groups is not in the order of the pixels. `empty`:
     blending begins with nothing, and what is opaque is not written. `apart`: what is open is the layer OPEN_LAYER.
+    `mattes`: some groups are.
     """
-    flags = {"PS_BEHIND": behind and not empty, "PS_PLACES": places and not empty, "PS_EMPTY": empty, "PS_APART": apart}
-    shown = ("ps_starts", "ps_combined", *(("ps_behind",) if behind else ()), *(("ps_places",) if places else ()))
-    read = ("ps_members", *(() if empty else shown))
+    listed = mattes or not empty
+    flags = {"PS_BEHIND": behind and not empty, "PS_PLACES": places and listed, "PS_EMPTY": empty, "PS_APART": apart}
+    flags |= {"PS_MATTES": mattes}
+    read = ("ps_members", *(() if empty else ("ps_combined", *(("ps_behind",) if behind else ()))))
+    read += ("ps_starts", *(("ps_places",) if places else ())) if listed else ()
+    read += ("ps_matte",) if mattes else ()
     return Interface(
         "expand", fragment="translucent/expand.frag", block=EXPAND,
         samplers=(*CODES, ("UINT_2D", "ps_depths"), *(("FLOAT_2D", name) for name in read)),

@@ -47,8 +47,8 @@ class PolygonDraw:
         chunks: np.ndarray | None = None,
     ) -> None:
         """instance: (I,) int. view_from_object: (I, 4, 4) float64, from positions relative to the mesh's origin.
-        holdout: (I,) bool. `small`: most triangles cover few cells. chunks: (C,) rising, those of the mesh that are
-        drawn, of one instance; None: all.
+        holdout: (I,), 1 where it cuts a hole, 2 where it is a matte. `small`: most triangles cover few cells. chunks:
+        (C,) rising, those of the mesh that are drawn, of one instance; None: all.
         """
         self.mesh, self.groups, self.first_id, self.small = mesh, mesh.groups, first_id, small
         self.instance, self.repeats, self.of_slot = instance, len(instance), mesh.triangles
@@ -61,7 +61,7 @@ class PolygonDraw:
             self.values = {
                 "view_from_object": view_from_object[0],
                 "instance": int(instance[0]),
-                "holdout": bool(holdout[0]),
+                "holdout": int(holdout[0]),
                 "mirrored": bool(rows[0, 3, 2]),
             }
             return
