@@ -66,27 +66,22 @@ def on_dask(args: argparse.Namespace, output: Path, seconds: float) -> None:
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", address, "--no-dashboard"]
-    worker = [
-        sys.executable,
-        "-m",
-        "distributed.cli.dask_worker",
-        address,
-        "--nthreads",
-        "1",
-        "--no-nanny",
-        "--no-dashboard",
-    ]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    running = [subprocess.Popen(dask, env=environment, **quiet)]
+    worker = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny"]
+    worker.append("--no-dashboard")
+
+    def begin(command: list[str]) -> subprocess.Popen:
+        return subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    running = [begin(dask)]
     try:
         time.sleep(3)
-        running += [subprocess.Popen(worker, env=environment, **quiet) for _ in range(2)]
+        running += [begin(worker) for _ in range(2)]
         time.sleep(3)
         process = start(args, output, "--scheduler", address)
         time.sleep(0.5 * seconds)
         print("killed a worker:", process.poll() is None)
         running[1].kill()
-        running.append(subprocess.Popen(worker, env=environment, **quiet))
+        running.append(begin(worker))
         finish(process)
     finally:
         for one in reversed(running):

@@ -42,7 +42,7 @@ def two_tiles(folder: Path) -> tuple[list[Path], np.ndarray, np.ndarray]:
     for file, first, (position, color) in zip(files, (0, 5000), parts, strict=True):
         number = first + np.arange(len(position))
         write_las(file, position, color, intensity=number, classification=position[:, 0] > FAR[0] + 50)
-    return files, *(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    return files, np.concatenate([p for p, _ in parts]), np.concatenate([c for _, c in parts])
 
 
 def points_of(pages: PshPages) -> dict[str, np.ndarray]:
@@ -234,9 +234,11 @@ def test_workers_of_dask_build_the_same_bytes(tmp_path):
     built(files, tmp_path / "alone.psh", normals=True)
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         built(files, tmp_path / "dask.psh", normals=True, scheduler=cluster.scheduler_address)
-        with pytest.raises(PointFileError, match=r"^broken\.las: "):
-            (tmp_path / "broken.las").write_bytes(files[0].read_bytes()[:2000])
-            built([tmp_path / "broken.las"], tmp_path / "b.psh", scheduler=cluster.scheduler_address)
+        content = bytearray(files[1].read_bytes())
+        content[-3000:] = bytes(3000)
+        (tmp_path / "broken.laz").write_bytes(content)
+        with pytest.raises(PointFileError, match=r"^broken\.laz: "):
+            built([tmp_path / "broken.laz"], tmp_path / "b.psh", scheduler=cluster.scheduler_address)
     assert (tmp_path / "alone.psh").read_bytes() == (tmp_path / "dask.psh").read_bytes()
 
 
