@@ -80,6 +80,15 @@ def captured_alone() -> Case:
     return Case(scene((splats, moved((0.3, 0, 0))), (splats, SHEARED), lights=()), camera(), table)
 
 
+def captured_trained() -> Case:
+    """The same over a world, blended in display values, as training did."""
+    case = captured_alone()
+    world = World(np.array([0.02, 0.3, 0.9]))
+    return replace(
+        case, scene=replace(case.scene, world=world), settings=replace(case.settings, captured_blending="TRAINED")
+    )
+
+
 def captured_among() -> Case:
     """Splats around a cube in smoke."""
     return Case(

@@ -12,6 +12,7 @@ from scripts.scenes.captured_cases import (
     captured_in_smoke,
     captured_lit,
     captured_matte,
+    captured_trained,
 )
 from scripts.scenes.case import Case
 from scripts.scenes.detailed_cases import foliage, many_towers, split_mesh, strands
@@ -75,6 +76,7 @@ CASES: dict[str, Callable[[], Case]] = {
         captured_in_smoke,
         captured_lit,
         captured_matte,
+        captured_trained,
         in_smoke,
         foliage,
         many_towers,

@@ -1,12 +1,15 @@
 // One captured splat of the draw list, as lit splats are (render/passes/translucent/light.py): its ellipse in pixels, its
 // opacity, and the light that it sends to the eye. core/splat/captured.py has the formula, render/passes/captured/project.py
 // the layouts. u.first: texel of the first splat of the list; u.instances: the first of this page's, and the one behind its
-// last. PS_SHADOWED, PS_RELIT: light changes what they send. PS_ANTIALIASED: what the low-pass widens loses opacity. PS_AMONG_OPAQUE: something opaque may stand among them.
+// last. PS_TRAINED: display values are blended. PS_SHADOWED, PS_RELIT: light changes what they send. PS_ANTIALIASED: what the low-pass widens loses opacity. PS_AMONG_OPAQUE: something opaque may stand among them.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/geometry/finite.glsl"
 #include "lib/captured/harmonics.glsl"
 #include "lib/captured/kind.glsl"
+#ifndef PS_TRAINED
+#include "lib/captured/display.glsl"
+#endif
 #if defined(PS_SHADOWED) || defined(PS_RELIT)
 #include "lib/geometry/direction.glsl"
 #include "lib/light/lights.glsl"
@@ -15,11 +18,6 @@
 
 #define PS_UNCUT 0.25  // opacity of splats that are antialiased: they do not end where they are too faint one by one
 #define PS_WIDEST 1e6  // pixels: half-axes of what is wider are as wide, which pictures cannot show
-
-vec3 ps_linear_from_display(vec3 c)
-{
-  return mix(c / 12.92, pow((max(c, 0.04045) + 0.055) / 1.055, vec3(2.4)), vec3(greaterThan(c, vec3(0.04045))));
-}
 
 vec2 ps_limited(vec2 half_axis)
 {
@@ -96,7 +94,11 @@ void main()
   vec3 direction = ps_is_perspective() ? head.xyz - more.xyz : more.xyz;
   direction *= 1.0 / max(max(abs(direction.x), abs(direction.y)), max(abs(direction.z), 1e-30));
   vec3 display = max(ps_harmonic_sum(index, normalize(direction)) + 0.5, vec3(0.0));
+#ifdef PS_TRAINED
+  vec3 radiance = display;
+#else
   vec3 radiance = ps_linear_from_display(display);
+#endif
 #if defined(PS_SHADOWED) || defined(PS_RELIT)
   // Normals are of either side: that is lit which is seen.
   vec3 to_eye = ps_is_perspective() ? normalize(-p) : vec3(0.0, 0.0, 1.0), n = texelFetch(ps_normal, at, 0).xyz;

@@ -1,11 +1,15 @@
 // The world where nothing else is, added to what earlier samples left. PS_EVERYWHERE: that is all of the picture.
 // PS_AUXILIARY_ONLY: only passes beside Combined are drawn. PS_GROUPED: what lies behind open sub-samples, before these are
 // spread; PS_MATTES: and behind mattes, wherever they are.
+// PS_TRAINED: in display values, over which captured splats are blended.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/light/lights.glsl"
 #include "lib/light/backdrop.glsl"
 #include "lib/geometry/finite.glsl"
+#ifdef PS_TRAINED
+#include "lib/captured/display.glsl"
+#endif
 #if !defined(PS_EVERYWHERE) && !defined(PS_GROUPED)
 #include "lib/geometry/surfel_kind.glsl"
 #include "lib/geometry/coverage.glsl"
@@ -38,6 +42,9 @@ void main()
   out_combined = open * vec4(ps_finite(ps_background(ps_ray(gl_FragCoord.xy))), 1.0);
 #elif !defined(PS_AUXILIARY_ONLY)
   out_combined = vec4(0.0);
+#endif
+#ifdef PS_TRAINED
+  out_combined.rgb = ps_display_from_linear(out_combined.rgb);
 #endif
 #ifdef PS_OUT_NORMAL
   out_normal_pass = vec4(0.0);

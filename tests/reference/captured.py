@@ -24,7 +24,7 @@ class Projected:
     covariance: np.ndarray  # (N, 2, 2) pixels^2, after the low-pass
     conic: np.ndarray  # (N, 2, 2) its inverse
     opacity: np.ndarray  # (N,)
-    color: np.ndarray  # (N, 3) linear
+    color: np.ndarray  # (N, 3) linear, or display values
     slope: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))  # (N, 2) change of depth per pixel
     spread: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (N,) standard deviation of depth along a ray
 
@@ -78,8 +78,12 @@ def linear_from_display(c: np.ndarray) -> np.ndarray:
     return np.where(c > 0.04045, ((np.maximum(c, 0.04045) + 0.055) / 1.055) ** 2.4, c / 12.92)
 
 
-def project(splats: CapturedSplats, world_from_object: np.ndarray, camera: Camera) -> Projected:
-    """What a camera sees of the splats of one instance, (4, 4)."""
+def display_from_linear(c: np.ndarray) -> np.ndarray:
+    return np.where(c > 0.0031308, 1.055 * np.maximum(c, 0.0031308) ** (1 / 2.4) - 0.055, c * 12.92)
+
+
+def project(splats: CapturedSplats, world_from_object: np.ndarray, camera: Camera, trained: bool = False) -> Projected:
+    """What a camera sees of the splats of one instance, (4, 4). `trained`: in display values."""
     view = camera.view_from_world @ world_from_object
     linear = view[:3, :3]
     position = splats.position.astype(float) + splats.origin
@@ -125,7 +129,7 @@ def project(splats: CapturedSplats, world_from_object: np.ndarray, camera: Camer
     together = -(jacobian @ covariance)[:, :, 2]
     gradient = (conic @ together[..., None])[..., 0]
     variance = np.maximum(covariance[:, 2, 2] - (gradient * together).sum(axis=1), 1e-10 * depth**2)
-    color = linear_from_display(np.maximum(display, 0))
+    color = np.maximum(display, 0) if trained else linear_from_display(np.maximum(display, 0))
     return Projected(centre, depth, wide, conic, opacity, color, gradient, np.sqrt(variance))
 
 
@@ -141,7 +145,7 @@ def blend(seen: Projected, size: tuple[int, int], opaque: np.ndarray | float = n
     order = np.argsort(seen.depth, kind="stable")
     y, x = np.mgrid[:height, :width].reshape(2, -1) + 0.5
     behind = np.broadcast_to(np.asarray(opaque, float), (height, width)).reshape(-1)
-    found, through = np.zeros((len(x), 3)), np.ones(len(x))
+    found, through = np.zeros((len(x), seen.color.shape[1])), np.ones(len(x))
     reach = np.sqrt(2 * np.log(np.maximum(255 * seen.opacity, 1)))
     half = reach[:, None] * np.sqrt(np.einsum("nii->ni", seen.covariance))
     low = np.clip(np.floor(seen.centre - half), 0, (width, height)).astype(int)
@@ -161,16 +165,29 @@ def blend(seen: Projected, size: tuple[int, int], opaque: np.ndarray | float = n
         weight = through[rows] * alpha
         found[rows] += weight[:, None] * seen.color[k]
         through[rows] -= weight
-    return np.column_stack([found, 1 - through]).reshape(height, width, 4)
+    return np.column_stack([found, 1 - through]).reshape(height, width, -1)
 
 
-def picture(things: list[tuple[CapturedSplats, np.ndarray]], camera: Camera, **more) -> np.ndarray:
-    """(H, W, 4): what a camera sees of instances of splats, each with its transform (4, 4)."""
-    first, *others = (project(splats, matrix, camera) for splats, matrix in things)
+def picture(
+    things: list[tuple[CapturedSplats, np.ndarray]], camera: Camera, trained: bool = False, **more
+) -> np.ndarray:
+    """(H, W, 4): what a camera sees of instances of splats, each with its transform (4, 4). `trained`: in display
+    values."""
+    first, *others = (project(splats, matrix, camera, trained) for splats, matrix in things)
     seen = first
     for other in others:
         seen = seen + other
     return blend(seen, camera.window[2:], **more)
+
+
+def linear_over(shown: np.ndarray, world: np.ndarray | None = None) -> np.ndarray:
+    """(H, W, 4): scene-linear light, premultiplied, of a picture in display values (H, W, 4) over a linear world."""
+    alpha = shown[..., 3:]
+    if world is not None:
+        shown = shown[..., :3] + (1 - alpha) * display_from_linear(world)
+        return np.concatenate([linear_from_display(shown), np.ones_like(alpha)], axis=-1)
+    color = linear_from_display(shown[..., :3] / np.where(alpha > 0, alpha, 1)) * alpha
+    return np.concatenate([color, alpha], axis=-1)
 
 
 def psnr(a: np.ndarray, b: np.ndarray) -> float:

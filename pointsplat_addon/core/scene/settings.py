@@ -14,6 +14,7 @@ DEVICES = ("AUTO", "BLENDER_GPU", "OPENGL")
 PRIMITIVES = ("AUTO", "POINTS", "POLYGONS", "LINES")
 SHAPES = ("BALLS", "DISKS", "SURFACE")
 RADIUS_UNITS = ("OBJECT", "SPACING", "PIXELS")
+BLENDINGS = ("LINEAR", "TRAINED")  # of captured splats
 LIGHTINGS = ("CAPTURED", "SHADOWED", "RELIT")  # of captured splats
 
 
@@ -31,6 +32,7 @@ class Settings:
     use_adaptive_sampling: bool = True  # parts of the picture whose samples agree get fewer of them
     filter_size: float = FILTER_SIZE  # pixels from the centre of the pixel filter to its end
     adaptive_threshold: float = 1 / 64  # over the root of the brightness: what a display of 8 bits just shows
+    captured_blending: str = "LINEAR"  # one of BLENDINGS
     use_shadows: bool = True  # lights cast shadows, through translucent matter too
     shadow_resolution: int = 1024  # cells of a light's shadow table per half turn
     use_indirect: bool = False  # what surfaces hide of the world, and what they send to each other

@@ -1,6 +1,6 @@
 """Names and tooltips of the settings and of their choices."""
 
-from ...core.scene.settings import BUDGETS, DEVICES, DOF_METHODS, TECHNIQUES
+from ...core.scene.settings import BLENDINGS, BUDGETS, DEVICES, DOF_METHODS, TECHNIQUES
 
 Item = tuple[str, str, str]
 
@@ -111,6 +111,16 @@ RADIUS_UNIT_ITEMS: dict[str, Item] = {
     ),
 }
 
+BLENDING_ITEMS: dict[str, Item] = {
+    "LINEAR": ("LINEAR", "Linear", "Colours are turned to linear light splat by splat, and blended as all else is"),
+    "TRAINED": (
+        "TRAINED",
+        "As Trained",
+        "Display values (sRGB) are blended, over those of the world, and turned to linear light pixel by pixel: with "
+        "the view transform Standard the picture is the one that training saw. Where captured splats are alone in "
+        "view, without depth of field and unlit; else Linear, with a warning",
+    ),
+}
 LIGHTING_ITEMS: dict[str, Item] = {
     "CAPTURED": ("CAPTURED", "As Captured", "The light of the capture, whatever lamps there are"),
     "SHADOWED": (
@@ -160,6 +170,7 @@ LABELS: dict[str, tuple[str, str]] = {
         "Difference between the means of all samples and of half of them below which no more are taken; "
         "smaller is more exact",
     ),
+    "captured_blending": ("Blending", "How the colours of captured Gaussian splats are blended"),
     "use_shadows": ("Shadows", "Lights cast shadows, which translucent objects soften and tint"),
     "shadow_resolution": (
         "Resolution",
@@ -198,6 +209,7 @@ LABELS: dict[str, tuple[str, str]] = {
     "device": ("Device", "What draws the pictures"),
 }
 ITEMS = {
+    "captured_blending": [BLENDING_ITEMS[n] for n in BLENDINGS],
     "technique": [TECHNIQUE_ITEMS[n] for n in TECHNIQUES],
     "dof_method": [DOF_ITEMS[n] for n in DOF_METHODS],
     "budget": [BUDGET_ITEMS[n] for n in BUDGETS],

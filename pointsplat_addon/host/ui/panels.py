@@ -101,6 +101,17 @@ class POINTSPLAT_RENDER_PT_points(_Panel, bpy.types.Panel):
         layout.prop(settings, "tolerance")
 
 
+class POINTSPLAT_RENDER_PT_captured(_Panel, bpy.types.Panel):
+    bl_label = "Captured Splats"
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and any(is_captured(data) for data in bpy.data.pointclouds)
+
+    def draw(self, context):
+        self.split_layout().prop(context.scene.pointsplat, "captured_blending")
+
+
 class POINTSPLAT_RENDER_PT_shadows(_Panel, bpy.types.Panel):
     bl_label = "Shadows"
 
@@ -300,6 +311,7 @@ CLASSES = (
     POINTSPLAT_RENDER_PT_sampling,
     POINTSPLAT_RENDER_PT_budget,
     POINTSPLAT_RENDER_PT_points,
+    POINTSPLAT_RENDER_PT_captured,
     POINTSPLAT_RENDER_PT_shadows,
     POINTSPLAT_RENDER_PT_eye_dome,
     POINTSPLAT_RENDER_PT_depth_of_field,

@@ -68,6 +68,7 @@ class Shading:
             combined=plan.picture,  # other passes are spread over what lies behind groups
             grouped=plan.sub_samples > 0,
             mattes=plan.matte_light.lit,
+            trained=plan.translucent is not None and plan.translucent.trained,
         )
 
     @property

@@ -42,7 +42,7 @@ from .auxiliary import auxiliary_picture
 from .lens_view import camera_of_whole_lens
 from .make_plan import ViewToPlan, make_plan
 from .plan import Plan
-from .reasons import Absences, why_no_eye_dome, why_no_indirect
+from .reasons import Absences, why_no_eye_dome, why_no_indirect, why_not_trained
 from .request import Request
 from .technique import Technique, TechniqueInput, confirm_technique, decide_technique
 
@@ -184,8 +184,12 @@ def make_frame_plan(
     )
     scene, reflects, negligible = without_negligible(scene, prepared, camera.view_from_world, store)
     settings = replace(request.settings, technique=technique.name)
+    others = bool(prepared.translucent.point_sets)
     shadows, unshadowed = _shadows(scene, prepared, replace(request, settings=settings), store, clock, limits)
     captured_shadows, matte_shadows = _captured_shadows(scene, prepared, settings, store, clock, limits, mattes)
+    linear = why_not_trained(
+        settings, _has_opaque(prepared), others, bool(captured_shadows), camera.aperture is not None
+    )
     painter = technique.name == "PAINTER" and prepared.cut.splats > 0
     if painter:
         prepared = with_opaque_among_translucent(
@@ -200,6 +204,7 @@ def make_frame_plan(
         LENS_SAMPLES_BLUR if through_lens else why_not_blurred(scene, camera),
         why_no_indirect(request.settings, request.interactive, technique.name),
         why_no_eye_dome(request.settings, technique.name, _has_opaque(prepared), prepared.out_of_focus is not None),
+        linear,
     )
     ewa = technique.name == "EWA"
     sub_samples = 0
@@ -222,6 +227,7 @@ def make_frame_plan(
     )  # fmt: skip
     some = _has_opaque(prepared) or prepared.out_of_focus is not None
     lacks_eye_dome = request.settings.use_eye_dome and picture and some and not plan.eye_dome
+    not_trained = settings.captured_blending == "TRAINED" and bool(prepared.captured) and picture and linear
     radius = filter_reach(neighbourhood(request.settings)) if sub_samples else plan.splat_radius(prepared.largest)
     view, corner = with_margin(camera, radius, limits.texture_size)
     return FramePlan(
@@ -244,6 +250,7 @@ def make_frame_plan(
             *of_parts,
             *((technique.warning,) if technique.warning else ()),
             *((f"Eye-dome lighting is left out: {absences.eye_dome}",) if lacks_eye_dome else ()),
+            *((f"Captured splats are blended in linear light, not as trained: {linear}",) if not_trained else ()),
             *prepared.warnings,
             *unsupported,
             *dict.fromkeys(

@@ -321,7 +321,12 @@ def _translucent(view: ViewToPlan, kinds: _Kinds) -> TranslucentOptions | None:
         bool(view.prepared.captured_nodes),
     )  # fmt: skip
     wanted = "depth" in view.request.passes
-    return replace(found, mattes=view.mattes and found.captured, depth=wanted and found.captured)
+    return replace(
+        found,
+        mattes=view.mattes and found.captured,
+        depth=wanted and found.captured,
+        trained=found.captured and not view.absences.trained,
+    )
 
 
 def _captured_light(view: ViewToPlan) -> tuple[tuple[int, CapturedLighting], ...]:

@@ -78,6 +78,7 @@ LATE = {
     "occlusion": "there are few triangles, or few that others may hide",
 }
 UNKNOWN = "no sample came so far"
+LINEAR = "linear blending is set"
 
 
 @value_record
@@ -91,6 +92,7 @@ class Absences:
     blurred_world: str = "the camera has no depth of field"
     indirect: str = "indirect light is switched off"  # beyond that nothing sends any
     eye_dome: str = "eye-dome lighting is switched off"
+    trained: str = LINEAR  # blending of captured splats as they were trained
 
 
 def reasons(plan: Plan, passes: frozenset[str], absences: Absences) -> dict[str, str]:
@@ -152,6 +154,20 @@ def why_no_eye_dome(settings: Settings, technique: str, opaque: bool, out_of_foc
     if technique != "VISIBILITY":
         return f"the technique {technique} has no depths of one kind for it"
     return "" if opaque else "nothing opaque is drawn"
+
+
+def why_not_trained(settings: Settings, opaque: bool, others: bool, lit: bool, out_of_focus: bool) -> str:
+    """Returns why captured splats are not blended as they were trained; empty where they are. `opaque`, `others`: what
+    else is in view, the others being translucent. `lit`: light changes some. `out_of_focus`: things may be."""
+    if settings.captured_blending != "TRAINED":
+        return LINEAR
+    if opaque:
+        return "something opaque is in view"
+    if others:
+        return "something else that is translucent is in view"
+    if lit:
+        return "some are shadow receivers or relit"
+    return "the camera has depth of field" if out_of_focus else ""
 
 
 def _of_points(plan: Plan, none: str) -> dict[str, str]:

@@ -97,14 +97,15 @@ def _nodes_of(
     if not dense:
         return None
     view.check()
-    key, asked = (Key(kind, geometry.key) for kind in (Kind.CAPTURED_TREE, Kind.CAPTURED_TREE_ASKED_FOR))
+    trained = view.settings.captured_blending == "TRAINED"
+    key, asked = (Key(kind, geometry.key, other=trained) for kind in (Kind.CAPTURED_TREE, Kind.CAPTURED_TREE_ASKED_FOR))
     if view.interactive and key not in store:
-        store.make_later(key, lambda: build_captured_tree(splats))
+        store.make_later(key, lambda: build_captured_tree(splats, trained))
         return None
     if key not in store and asked not in store and len(dense) < BUILD_COST:
         store.lookup(asked, tuple)
         return None
-    tree = store.lookup(key, lambda: build_captured_tree(splats))
+    tree = store.lookup(key, lambda: build_captured_tree(splats, trained))
     cuts = {i: cut_captured(tree, matrix, view.camera, tolerance) for i, matrix in dense.items()}
     cuts = {i: cut for i, cut in cuts.items() if len(cut) <= WORTHWHILE * len(splats)}
     return CapturedNodes(tree, cuts) if cuts else None

@@ -72,6 +72,21 @@ def test_colours_are_averaged_in_linear_light():
     node = 0
     shown = reference.linear_from_display(0.28209479177387814 * tree.nodes.base[node].astype(float) + 0.5)
     assert shown == pytest.approx(np.full(3, 0.5), abs=1e-6)
+    assert tree.trained_base is None
+
+
+def test_colours_for_blending_display_values_are_averaged_in_these():
+    """Weighted as the others; nothing else of the nodes changes."""
+    plain, tree = (build_captured_tree(SPLATS, trained) for trained in (False, True))
+    for name in ("position", "scale", "rotation", "base", "opacity", "sh"):
+        np.testing.assert_array_equal(getattr(plain.nodes, name), getattr(tree.nodes, name))
+    weight = SPLATS.opacity * surface(SPLATS.scale.T.astype(float))
+    display = np.maximum(0.28209479177387814 * SPLATS.base.astype(float) + 0.5, 0)
+    assert tree.trained_base is not None
+    for node in np.linspace(0, len(tree) - 1, 60).astype(int).tolist():
+        rows = leaves(tree, *level_of(tree, node))
+        shown = 0.28209479177387814 * tree.trained_base[node].astype(float) + 0.5
+        assert shown == pytest.approx(weight[rows] @ display[rows] / weight[rows].sum(), abs=1e-5)
 
 
 @pytest.mark.parametrize("matrix", [np.eye(4), SHEARED])

@@ -95,6 +95,12 @@ EXPECTED = {
     "visibility buffer, smoke alone": "order background " + BLENDED,
     "captured splats": "order captured background translucent add",
     "captured splats from far away": "order captured background translucent add",
+    "captured splats, blended as trained": "order captured background translucent add",
+    "captured splats, blended as trained, transparent film": "order captured translucent add",
+    "captured splats from far away, blended as trained": "order captured background translucent add",
+    "captured splats, smoke and a cube, as trained was asked for": "order captured polygons background "
+    + GROUPED
+    + LAYERS,
     "captured splats, relit and shadowed, and a cube": "shadows order shadow+maps captured polygons background "
     "translucent expand difference add " + GROUPED,
     "captured splats, a matte and a cube": "shadows order shadow+maps captured polygons background mattes "
@@ -294,6 +300,7 @@ def test_what_differs_between_scenes_is_what_the_feature_needs():
         ("one cube", "points and polygons", {("push", "ps_front")}, "PS_FRONT"),
         ("polygons, colours from a picture", "polygons, roughness from a picture",
          {("polygons", "ps_baked_surface")}, "PS_SURFACE"),
+        ("captured splats", "captured splats, blended as trained", set(), "PS_TRAINED"),
     )  # fmt: skip
     for plain, more, samplers, define in pairs:
         before, after = found(plain).device, found(more).device
@@ -307,6 +314,21 @@ def test_attributes_of_normals_are_not_sent_where_nothing_is_lit():
     assert lit.uploaded_bytes > unlit.uploaded_bytes
     assert "PS_SHADING_NORMAL" not in told(unlit)
     assert "PS_NORMAL" not in told(unlit)
+
+
+def test_blending_as_trained_costs_nothing_where_it_does_not_hold():
+    """The same passes, textures and programs as where it is not asked for."""
+    plain, asked = (
+        found("visibility buffer, captured splats, smoke and a cube"),
+        found("captured splats, smoke and a cube, as trained was asked for"),
+    )
+    assert plain.ran == asked.ran
+    assert plain.device.interfaces == asked.device.interfaces
+    assert plain.bytes == asked.bytes
+    alone, trained = (found(f"captured splats{more}").device for more in ("", ", blended as trained"))
+    changed = {interface.name for interface in trained.interfaces if ("PS_TRAINED", "1") in interface.defines}
+    assert changed == {"captured", "background", "add"}
+    assert alone.uploaded_bytes == trained.uploaded_bytes
 
 
 def test_a_picture_of_colours_sends_no_constants_beside_it():

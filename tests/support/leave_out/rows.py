@@ -166,6 +166,16 @@ ROWS: dict[str, Row] = {
     "visibility buffer, smoke alone": Row(lambda: with_settings(translucent_cases.in_smoke(), technique="VISIBILITY")),
     "captured splats": Row(lambda: with_settings(captured_cases.captured_alone(), technique="VISIBILITY"), samples=16),
     "captured splats from far away": Row(captured_cases.captured_far),
+    "captured splats, blended as trained": Row(captured_cases.captured_trained),
+    "captured splats, blended as trained, transparent film": Row(
+        lambda: with_scene(captured_cases.captured_trained(), transparent=True)
+    ),
+    "captured splats from far away, blended as trained": Row(
+        lambda: with_settings(captured_cases.captured_far(), captured_blending="TRAINED")
+    ),
+    "captured splats, smoke and a cube, as trained was asked for": Row(
+        lambda: with_settings(captured_cases.captured_among(), captured_blending="TRAINED")
+    ),
     "captured splats, relit and shadowed, and a cube": Row(captured_cases.captured_lit),
     "captured splats, a matte and a cube": Row(captured_cases.captured_matte),
     "captured splats, depth": Row(captured_cases.captured_alone, COMBINED | {"depth"}),

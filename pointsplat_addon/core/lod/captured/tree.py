@@ -24,6 +24,7 @@ WIDTH = 2.0  # standard deviations along a splat's longest axis that the edge of
 BATCH = 1 << 14  # splats that are merged together, so that their working arrays stay in the cache
 KNUD_THOMSEN = 1.6075  # exponent of his approximation to an ellipsoid's surface, within 1.1 %
 DEGREE_0 = 0.28209479177387814
+ROWS = 16  # of what is merged: `_rows`
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
@@ -45,6 +46,9 @@ class CapturedTree:
     first_own: tuple[np.ndarray, ...]  # of each level: (cells + 1,) int32
     own: tuple[np.ndarray, ...]  # of each level: rows of the splats that are stored there, int32
     always: np.ndarray  # (A,) int32: rows of splats that are larger than the largest cell
+    # (M, 3) float32: coefficients of degree 0 whose display values are means of those of the splats, for blending
+    # these; None: not asked for.
+    trained_base: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.nodes)
@@ -52,11 +56,13 @@ class CapturedTree:
     @property
     def nbytes(self) -> int:
         parts = (*self.first_child, *self.first_own, *self.own, self.always)
-        return self.nodes.nbytes + self.means.nbytes + sum(part.nbytes for part in parts)
+        trained = 0 if self.trained_base is None else self.trained_base.nbytes
+        return self.nodes.nbytes + self.means.nbytes + trained + sum(part.nbytes for part in parts)
 
 
-def build_captured_tree(splats: CapturedSplats) -> CapturedTree:
-    """Builds the nodes of N > 0 valid splats. Those that no view shows, of too little opacity, are in none."""
+def build_captured_tree(splats: CapturedSplats, trained: bool = False) -> CapturedTree:
+    """Builds the nodes of N > 0 valid splats. Those that no view shows, of too little opacity, are in none. `trained`:
+    with colours for blending display values."""
     shown = np.flatnonzero(splats.opacity >= LEAST_ALPHA)
     shown = shown if len(shown) else np.zeros(1, np.int64)
     code, side = morton_codes(take_rows(splats.position, shown))
@@ -81,7 +87,7 @@ def build_captured_tree(splats: CapturedSplats) -> CapturedTree:
         if row < depth:
             first_child.append(np.searchsorted(child_cells, _ends(cells)).astype(np.int32))
         below = (merged[-1], first_child[-1]) if row < depth else None
-        merged.append(_merge(splats, own[-1], first_own[-1], below))
+        merged.append(_merge(splats, own[-1], first_own[-1], below, trained))
     for levels in (own, first_own, first_child, merged):
         levels.reverse()
     start = offsets([level.rows.shape[1] for level in merged])
@@ -97,6 +103,7 @@ def build_captured_tree(splats: CapturedSplats) -> CapturedTree:
         tuple(first_own),
         tuple(own),
         always,
+        _trained_base(merged) if trained else None,
     )
 
 
@@ -144,23 +151,28 @@ def _ends(cells: np.ndarray) -> np.ndarray:
 class _Merged:
     """Splats, or the cells of one level, n of them."""
 
-    rows: np.ndarray  # (16, n) float64, see `_rows`
+    rows: np.ndarray  # (R, n) float64, see `_rows`
     sh: np.ndarray  # (n, H) float32: coefficients of higher degrees
 
 
 def _merge(
-    splats: CapturedSplats, own: np.ndarray, first_own: np.ndarray, below: tuple[_Merged, np.ndarray] | None
+    splats: CapturedSplats,
+    own: np.ndarray,
+    first_own: np.ndarray,
+    below: tuple[_Merged, np.ndarray] | None,
+    trained: bool,
 ) -> _Merged:
     """The merged splats of the cells of one level. `below`: those of the level below, and where the children of each
-    cell begin, (C + 1,)."""
+    cell begin, (C + 1,). `trained`: with their display values."""
     count = np.diff(first_own) + (0 if below is None else np.diff(below[1]))
-    out = _Merged(np.empty((16, len(count))), np.empty((len(count), _coefficients(splats)), np.float32))
+    height = ROWS + 3 * trained
+    out = _Merged(np.empty((height, len(count))), np.empty((len(count), _coefficients(splats)), np.float32))
     parts = list(batches(count, BATCH))
 
     def merge(which: slice) -> None:
         for a, b in parts[which]:
             some = own[first_own[a] : first_own[b]]
-            rows, sh, ends = _rows(splats, some), _higher(splats, some), first_own[a : b + 1] - first_own[a]
+            rows, sh, ends = _rows(splats, some, trained), _higher(splats, some), first_own[a : b + 1] - first_own[a]
             if below is not None:
                 level, first = below
                 children, first = slice(first[a], first[b]), first[a : b + 1] - first[a]
@@ -188,19 +200,21 @@ def _higher(splats: CapturedSplats, which: np.ndarray) -> np.ndarray:
     return np.take(splats.sh.reshape(len(splats), _coefficients(splats)), which, axis=0)
 
 
-def _rows(splats: CapturedSplats, which: np.ndarray) -> np.ndarray:
-    """(16, n) float64 of some splats: weight; mean (3); covariance (6), xx, xy, xz, yy, yz, zz; linear colour of
+def _rows(splats: CapturedSplats, which: np.ndarray, trained: bool) -> np.ndarray:
+    """(R, n) float64 of some splats: weight; mean (3); covariance (6), xx, xy, xz, yy, yz, zz; linear colour of
     degree 0 (3); 1 over the surface; opacity and trace of the covariance, both over the
-    surface."""
+    surface. `trained`: and its display values (3)."""
     scale = splats.scale[which].T.astype(np.float64)
     area = surface(scale)
-    rows = np.empty((16, len(which)))
+    rows = np.empty((ROWS + 3 * trained, len(which)))
     np.maximum(splats.opacity[which] * area, 1e-300, out=rows[0])
     rows[1:4] = splats.position[which].T
     axes = rotation_matrices(splats.rotation[which].T.astype(np.float64)) * scale
     for at, (i, j) in enumerate(PAIRS, 4):
         rows[at] = (axes[i] * axes[j]).sum(axis=0)
-    rows[10:13] = linear_from_display(np.maximum(DEGREE_0 * splats.base[which].T + 0.5, 0))
+    display = np.maximum(DEGREE_0 * splats.base[which].T + 0.5, 0)
+    rows[10:13] = linear_from_display(display)
+    rows[ROWS:] = display[: 3 * trained]
     rows[13] = 1 / np.maximum(area, 1e-30)
     rows[14] = splats.opacity[which] * rows[13]
     rows[15] = (rows[4] + rows[7] + rows[9]) * rows[13]
@@ -224,7 +238,7 @@ def display_from_linear(c: np.ndarray) -> np.ndarray:
 
 
 def _merged(rows: np.ndarray, sh: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Merges rows (16, n), as `_rows` has them, and coefficients (n, H) between the `ends` (m + 1,)."""
+    """Merges rows (R, n), as `_rows` has them, and coefficients (n, H) between the `ends` (m + 1,)."""
     begin, count = ends[:-1], np.diff(ends)
     out = np.empty((len(rows), len(begin)))
     out[0] = np.add.reduceat(rows[0], begin)
@@ -259,6 +273,11 @@ def _nodes(merged: list[_Merged], splats: CapturedSplats) -> CapturedSplats:
     sh = None if splats.sh is None else np.concatenate([level.sh for level in merged]).reshape(-1, *splats.sh.shape[1:])
     position = np.ascontiguousarray(rows[1:4].T, np.float32)
     return CapturedSplats(position, scale, rotation, base, opacity, sh, splats.origin, splats.antialiased)
+
+
+def _trained_base(merged: list[_Merged]) -> np.ndarray:
+    display = np.concatenate([level.rows[ROWS:] for level in merged], axis=1)
+    return np.ascontiguousarray((display.T - 0.5) / DEGREE_0, np.float32)
 
 
 def _quaternions(axes: np.ndarray) -> np.ndarray:

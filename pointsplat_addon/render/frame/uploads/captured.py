@@ -90,6 +90,7 @@ class CapturedUploads:
         """`lighting`: of those geometries, by row, that light changes. DeviceError: there are more splats than textures
         hold."""
         self._scope, self._plan, self._scene = scope, plan, scene
+        self._trained = plan.translucent is not None and plan.translucent.trained
         self._varies = camera.aperture is not None  # each sample may have a view of its own
         self._order_key = scope.kept.own_key(Kind.CAPTURED_ORDER)
         self._shown: list[_Shown] = []
@@ -97,7 +98,7 @@ class CapturedUploads:
         for row, group in groupby(prepared.captured, lambda instance: int(scene.instances.geometry[instance])):
             for one in _shown(
                 scope, store, scene.geometries[row], first, tuple(group), prepared.captured_nodes.get(row),
-                row in lights,
+                row in lights, self._trained,
             ):  # fmt: skip
                 lit = {"light": lights[row], "lighting": lighting[row]} if row in lights else {}
                 self._shown.append(replace(one, **lit))
@@ -179,7 +180,13 @@ class CapturedUploads:
         """The draw list of a view; that of before where nothing has changed."""
         order: CapturedOrder = self._scope.lookup(self._order_key, CapturedOrder)
         numbers = (*camera.pixel_from_view(), *camera.window, *camera.resolution, camera.near, camera.far)
-        key = (numbers, self._varies, *(one.content for one in self._shown), *(view.tobytes() for view in views))
+        key = (
+            numbers,
+            self._varies,
+            self._trained,
+            *(one.content for one in self._shown),
+            *(view.tobytes() for view in views),
+        )
         if order.texture is not None and order.key == key:
             return order
         before = time.perf_counter()
@@ -227,9 +234,10 @@ def _shown(
     instances: tuple[int, ...],
     nodes: CapturedNodes | None,
     lit: bool,
+    trained: bool,
 ) -> list[_Shown]:
     """The splats of one geometry, and the nodes that stand for some of them; `first`: of all instances. `lit`: light
-    changes them."""
+    changes them. `trained`: they are blended in display values."""
     splats, found = geometry.captured, []
     assert splats is not None
     cuts = {} if nodes is None else nodes.cuts
@@ -242,15 +250,17 @@ def _shown(
         largest = store.lookup(Key(Kind.LARGEST_SCALES, geometry.key), lambda: captured.bounds_of_scales(splats))
         found.append(_Shown(geometry.key, splats, page, largest, first, tuple(rows), tuple(rows.values())))
     if nodes is not None:
-        tree = nodes.tree
-        normals = _normals(store, Key(Kind.CAPTURED_NODE_NORMALS, geometry.key), tree.nodes) if lit else None
+        tree, merged = nodes.tree, nodes.tree.nodes
+        if trained and tree.trained_base is not None:
+            merged = replace(merged, base=tree.trained_base)
+        normals = _normals(store, Key(Kind.CAPTURED_NODE_NORMALS, geometry.key), merged) if lit else None
         page = scope.lookup(
-            Key(Kind.CAPTURED_NODE_PAGE, geometry.key),
-            lambda: CapturedPage(scope.device, tree.nodes, tree.means, normals),
+            Key(Kind.CAPTURED_NODE_PAGE, geometry.key, other=trained),
+            lambda: CapturedPage(scope.device, merged, tree.means, normals),
         )
         drawn = tuple(cut.nodes for cut in cuts.values())
-        key, largest = f"{geometry.key} nodes", tree.nodes.scale[:, 2]
-        found.append(_Shown(key, tree.nodes, page, largest, first + len(rows), tuple(cuts), drawn, nodes=True))
+        key, largest = f"{geometry.key} nodes", merged.scale[:, 2]
+        found.append(_Shown(key, merged, page, largest, first + len(rows), tuple(cuts), drawn, nodes=True))
     return found
 
 

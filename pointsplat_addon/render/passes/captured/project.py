@@ -68,7 +68,7 @@ def project_program(
     """Returns the program that projects the splats of one page. `sh_texels`, `sh_shift`: as of the page.
     `nodes`: they stand for many splats. `light`: what it does to them."""
     named = {"PS_ANTIALIASED": antialiased, "PS_AMONG_OPAQUE": options.fronts, "PS_HOLDOUT": options.holdout}
-    named |= {"PS_TINT": options.tint, "PS_NODES": nodes, f"PS_{light.kind}": light.lit}
+    named |= {"PS_TINT": options.tint, "PS_NODES": nodes, "PS_TRAINED": options.trained, f"PS_{light.kind}": light.lit}
     lighting = light.names if light.lit else ()
     constants = {
         "PS_SH_TEXELS": sh_texels, "PS_SH_SHIFT": sh_shift, "PS_SH_MASK": (1 << sh_shift) - 1,

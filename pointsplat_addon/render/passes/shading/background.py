@@ -22,13 +22,16 @@ def background_program(
     combined: bool = True,
     grouped: bool = False,
     mattes: bool = False,
+    trained: bool = False,
 ) -> Interface:
     """Returns the program that draws the world, of which `world` says what it is, PS_BACKDROP that it is out of focus.
     `coverage`: edges let some of it through. `everywhere`: nothing is before it. `combined`: the picture, not only
-    passes beside it. `grouped`: behind the open sub-samples of pixels, and with `mattes` behind these."""
+    passes beside it. `grouped`: behind the open sub-samples of pixels, and with `mattes` behind these.
+    `trained`: in display values."""
     drawn = not transparent and "PS_BACKDROP" not in world
     named = {"PS_BACKGROUND": drawn, "PS_COVERAGE": coverage, "PS_EVERYWHERE": everywhere,
-             "PS_AUXILIARY_ONLY": not combined, "PS_GROUPED": grouped, "PS_MATTES": mattes}  # fmt: skip
+             "PS_AUXILIARY_ONLY": not combined, "PS_GROUPED": grouped, "PS_MATTES": mattes,
+             "PS_TRAINED": trained and (drawn or "PS_BACKDROP" in world)}  # fmt: skip
     names = (*world, *averaged_defines(passes), *(name for name, on in named.items() if on))
     read = () if everywhere or grouped else ("ps_centre", "ps_shape") if coverage else ("ps_centre",)
     codes = (("UINT_2D", "ps_second"),) if grouped and not mattes else ()

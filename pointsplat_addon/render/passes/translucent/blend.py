@@ -98,8 +98,9 @@ SHOW = Interface(
 
 def add_program(options: TranslucentOptions) -> Interface:
     """Returns the program that adds one sample's picture to the sums."""
+    named = {"PS_HOLDOUT": options.holdout, "PS_TRAINED": options.trained}
     return Interface(
         "add", fragment="translucent/add.frag",
         samplers=(("FLOAT_2D", "ps_layer"), *((("FLOAT_2D", "ps_cut"),) if options.holdout else ())),
-        outputs=(("vec4", "out_combined"),), defines=(("PS_HOLDOUT", "1"),) if options.holdout else (),
+        outputs=(("vec4", "out_combined"),), defines=tuple((name, "1") for name, on in named.items() if on),
     )  # fmt: skip

@@ -30,6 +30,7 @@ class TranslucentOptions:
     alone: bool = False  # and there are no others
     nodes: bool = False  # and some are nodes that stand for many: core/lod/captured
     depth: bool = False  # the pass Depth asks for captured splats: passes/captured/half_depth.py
+    trained: bool = False  # they are blended in display values, as training did, over the world alone
     mattes: bool = False  # meshes stand for the surfaces of some captured splats
 
     @property
