@@ -1,6 +1,6 @@
 """Captured splats of files against the published formula in float64: the tables of docs/notes/splats.md, "Files".
 
-    python -m scripts.studies.captured_formula DIR [--only NAME ...] [--size 240x180] [--far]
+    python -m tests.support.captured_formula DIR [--only NAME ...] [--size 240x180] [--far]
 
 Each file below DIR is drawn from three sides by both ways of blending. Linear light is compared as it is,
 premultiplied; what is blended as trained is compared in display values. Of each way the table has the lowest PSNR; the
