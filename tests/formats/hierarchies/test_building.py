@@ -221,6 +221,25 @@ def test_builds_that_are_stopped_go_on_to_the_same_bytes(tmp_path, monkeypatch):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.psh", "tile0.laz", "tile1.laz", "whole.psh"]
 
 
+def test_what_is_left_of_a_folder_that_was_being_deleted_is_not_taken(tmp_path, monkeypatch):
+    small_pages(monkeypatch)
+    files, _, _ = two_tiles(tmp_path)
+
+    def stopped(folder):
+        (folder / "chunk-0.pages").unlink()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(building.shutil, "rmtree", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        built(files, tmp_path / "a.psh")
+    truth = (tmp_path / "a.psh").read_bytes()
+    monkeypatch.undo()
+    small_pages(monkeypatch)
+    built(files, tmp_path / "a.psh")
+    assert (tmp_path / "a.psh").read_bytes() == truth
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.psh", "tile0.laz", "tile1.laz"]
+
+
 def test_processes_build_the_same_bytes(tmp_path):
     files, _, _ = two_tiles(tmp_path)
     for workers in (1, 2):

@@ -56,7 +56,6 @@ class Built:
     points: int
     dropped: int  # points without a finite position
     nbytes: int
-    pages: int
     warnings: list[str] = field(default_factory=list)
 
 
@@ -93,19 +92,33 @@ def _plan(files: list[Input], settings: Settings) -> Plan:
 def _enter(folder: Path, plan: Plan) -> None:
     """Makes the folder of a build, or finds that of an earlier one of the same; empties that of another."""
     facts = json.loads(json.dumps({"version": VERSION, **plan_facts(plan)}))
-    path = folder / "plan.json"
+    path, old = folder / "plan.json", _finished(folder)
+    if old.exists():
+        shutil.rmtree(old)
     if path.exists():
         try:
             if json.loads(path.read_text()) == facts:
                 return
         except ValueError:
             pass
-        shutil.rmtree(folder)
-    elif folder.exists() and any(folder.iterdir()) and not (folder / "begun").exists():
-        raise FileExistsError(f"{folder} is there, and no build has made it")
+        _forget(folder)
+    elif folder.exists() and any(folder.iterdir()):
+        if not (folder / "begun").exists():
+            raise FileExistsError(f"{folder} is there, and no build has made it")
+        _forget(folder)
     folder.mkdir(exist_ok=True)
     (folder / "begun").touch()
     write_json(path, facts)
+
+
+def _finished(folder: Path) -> Path:
+    """What a folder is called while it is deleted, so that no build takes what is left for its own."""
+    return folder.with_name(folder.name + ".finished")
+
+
+def _forget(folder: Path) -> None:
+    folder.rename(_finished(folder))
+    shutil.rmtree(_finished(folder))
 
 
 class _Build:
@@ -129,11 +142,11 @@ class _Build:
         crs = next((one.crs for one in self.plan.inputs if one.crs), "")
         facts = {"points": points, "origin": origin_of(np.array(bounds)).tolist(), "crs": crs}
         join(output, self.folder, self.plan.layout, cube, groups, facts, lambda share: self.progress("File", share))
-        shutil.rmtree(self.folder)
+        _forget(self.folder)
         dropped = sum(s.get("dropped", 0) for s in sorted_)
         if dropped:
             self.warnings.append(f"{dropped:,} points have no finite position, and are left out")
-        return Built(points, dropped, output.stat().st_size, 0, self.warnings)
+        return Built(points, dropped, output.stat().st_size, self.warnings)
 
     def _steps(self, kind: str, numbers: Sequence[int], stage: str) -> list[dict[str, Any]]:
         """Results of steps, in the order of their numbers."""
