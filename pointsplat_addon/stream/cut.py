@@ -73,7 +73,7 @@ def splats_of_cut(tree: PageTree, cut: PageCut, there: dict[int, Page], size: Po
                 cloud, shape = cloud.take(rows), None if shape is None else shape[rows]
                 stands, count = stands[mine], count[mine]
         if shape is None:
-            points.append(_sized(cloud, stands, count, there, size))
+            points.append(_sized(cloud, stands, count, there, size) if cloud.radii is None else cloud)
         else:
             nodes.append(cloud)
             shapes.append(shape)

@@ -32,7 +32,7 @@ class Page:
 def make_page(tree: PageTree, page: int, elements: Columns, look: PageLook) -> Page:
     """Returns a page of a scan's elements, in a look."""
     directory = tree.directory
-    splats = look.splats(elements)
+    splats = look.splats(elements, directory.additive)
     cloud, shape = (None, None) if splats is None else splats
     if cloud is not None and shape is None:
         cloud = valid_points(cloud)[0]

@@ -8,12 +8,14 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 import pointsplat_addon
+from pointsplat_addon.formats.hierarchies.building.build import Settings, build
 from pointsplat_addon.host.scans import picking
 from pointsplat_addon.host.scans.linking import STAND_IN
 from pointsplat_addon.host.scans.looks import look_material
 from pointsplat_addon.stream.pool import POOL
 from tests.support.blender.scenes import sync
 from tests.support.octrees import SIDE, write_octree
+from tests.support.scan_files import write_ply
 
 COUNT = 20_000
 
@@ -164,3 +166,27 @@ def test_points_are_picked_from_the_file_with_their_map_coordinate_and_distance(
     assert picking.distance() == pytest.approx(apart, abs=1e-3)
     none = bpy.ops.pointsplat.pick_point(start=(0.0, 0.0, 500.0), along=(0.0, 0.0, 1.0), reach=3.0)
     assert none == {"CANCELLED"}
+
+
+def test_the_points_of_a_hierarchy_close_their_surface_where_that_is_asked_for(tmp_path: Path) -> None:
+    random = np.random.default_rng(6)
+    points = np.zeros(3000, [("x", "f8"), ("y", "f8"), ("z", "f8")])
+    points["x"], points["y"] = random.uniform(0, 200, (2, 3000))
+    write_ply(tmp_path / "plane.ply", points, "binary_little_endian")
+    build([tmp_path / "plane.ply"], tmp_path / "plane.psh", Settings(memory=1 << 30, workers=1), lambda *_: None)
+    ob = link(tmp_path / "plane.psh")
+    look_down()
+    scene = bpy.context.scene
+    scene.render.film_transparent = True
+    scene.pointsplat.tolerance = 0.05
+    covered = {}
+    for shape in ("BALLS", "SURFACE"):
+        ob.pointsplat.shape = shape
+        assert report()["streamed"]["points"] == 3000
+        scene.render.image_settings.file_format = "PNG"
+        scene.render.image_settings.color_mode = "RGBA"
+        scene.render.filepath = str(tmp_path / f"{shape}.png")
+        bpy.ops.render.render(write_still=True)
+        image = bpy.data.images.load(scene.render.filepath)
+        covered[shape] = np.array(image.pixels[:]).reshape(32, 48, 4)[2:-2, 8:-8, 3].mean()
+    assert covered["BALLS"] < 0.5 < 0.97 < covered["SURFACE"]

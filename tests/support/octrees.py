@@ -76,7 +76,7 @@ class PlainLook:
 
     key = "plain"
 
-    def splats(self, elements: Mapping[str, np.ndarray]) -> PageSplats:
+    def splats(self, elements: Mapping[str, np.ndarray], additive: bool) -> PageSplats:
         return PageSplats(PointCloud(elements["position"], color=elements.get("color")))
 
 

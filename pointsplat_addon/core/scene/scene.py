@@ -27,7 +27,7 @@ from .world import Mist, World
 class PageSplats(NamedTuple):
     """The splats of a page."""
 
-    cloud: PointCloud  # points have no radii: these depend on what else is drawn; nodes are balls as large as these
+    cloud: PointCloud  # of points without radii where these depend on what else is drawn; of nodes as balls
     shape: np.ndarray | None = None  # (N, 8) float32, core.lod.balls.tree.BallTree.shape: the splats are nodes
 
 
@@ -36,10 +36,10 @@ class PageLook(Protocol):
 
     key: str  # content key of all that decides it
 
-    def splats(self, elements: Mapping[str, np.ndarray]) -> PageSplats | None:
+    def splats(self, elements: Mapping[str, np.ndarray], additive: bool) -> PageSplats | None:
         """Returns the splats of a page's elements, see formats/hierarchies/source.py; None: none of them is drawn.
 
-        Several threads may call it.
+        `additive`: points of other pages lie between these. Several threads may call it.
         """
         ...
 

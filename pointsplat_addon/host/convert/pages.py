@@ -20,10 +20,12 @@ from ...core.scene.scene import PageSplats, PointSize
 from ...core.surface.appearance import CLIP
 from . import arrays
 from .point_shapes import PointShape
+from .point_shapes import elements as closing_elements
 from .pointcloud import Points, appearance_of
 from .sample_material import SampleMaterial
 from .selection.filters import Filters, kept_points
 
+AXIS, HALF_AXES = "major axis", "half-axes"  # of ellipses that were found for points
 COLOR = "Col"  # what imports call the colours of a scan
 
 
@@ -39,10 +41,10 @@ class ScanLook:
 
     def __init__(self, material: SampleMaterial, filters: Filters | None, shape: PointShape) -> None:
         self._material = replace(material, alpha=1.0, translucent=False, medium=None, extinction=0.0)
-        self._filters, self._disks = filters, shape.kind != "BALLS"
-        self.key = arrays.digest(self._material.key, filters, self._disks)
+        self._filters, self._shape = filters, shape
+        self.key = arrays.digest(self._material.key, filters, shape.kind, shape if shape.kind == "SURFACE" else "")
 
-    def splats(self, elements: Mapping[str, np.ndarray]) -> PageSplats | None:
+    def splats(self, elements: Mapping[str, np.ndarray], additive: bool) -> PageSplats | None:
         """See core/scene/scene.py."""
         if len(elements["position"]) == 0:
             return None
@@ -50,7 +52,9 @@ class ScanLook:
         elements = elements if rows is None else _taken(elements, rows)
         if len(elements["position"]) == 0:
             return None
-        nodes, disks = "radii" in elements, self._disks and "radii" not in elements
+        nodes, disks = "radii" in elements, self._shape.kind != "BALLS" and "radii" not in elements
+        if disks and self._shape.kind == "SURFACE" and not additive:
+            elements = _closed(elements, self._shape)
         position = np.ascontiguousarray(elements["position"], np.float32)
         points = Points(position, None, elements.get("normal") if disks else None, colors=self._colors(elements))
         look = appearance_of(points, self._material)
@@ -61,7 +65,8 @@ class ScanLook:
         if self._material.row:
             look["material"] = np.full(len(look["position"]), self._material.row, np.uint16)
         if not nodes:
-            return PageSplats(PointCloud(**look))
+            ellipses = {name: elements[of] for name, of in (("axis", AXIS), ("radii", HALF_AXES)) if of in elements}
+            return PageSplats(PointCloud(**look, **ellipses))
         shape, radius = node_shape(*(elements[name] for name in ("normal", "axis", "radii", "covered")))
         share = np.ascontiguousarray(elements["covered"], np.float32)
         return PageSplats(PointCloud(**look, radii=radius[:, None], share=share), shape)
@@ -76,6 +81,16 @@ class ScanLook:
             if name in elements and (elements[name].ndim == 1 or elements[name].shape[1] == 3):
                 found[name] = _four(elements[name])
         return found
+
+
+def _closed(elements: Mapping[str, np.ndarray], shape: PointShape) -> dict[str, np.ndarray]:
+    """Points of a page as ellipses that close the surface: their neighbours are those in the page."""
+    position = np.ascontiguousarray(elements["position"], np.float32)
+    radius = np.zeros(len(position), np.float32)
+    found = closing_elements(shape, position, radius, elements.get("normal"), None, lambda _key, make: make())
+    half = found.radii if found.radii.ndim == 2 else found.radii[:, None]
+    columns = {"position": found.position, "normal": found.normal, HALF_AXES: half}
+    return {**elements, **columns, **({} if found.axis is None else {AXIS: found.axis})}
 
 
 def _taken(columns: Mapping[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:

@@ -81,11 +81,10 @@ def _of_several(readers: Sequence[Reader]) -> list[str]:
     return [f"The files have different coordinate reference systems ({named})"]
 
 
-def unit_of(reader: Reader) -> float:
+def unit_of(crs: str) -> float:
     """Returns metres of a file's unit of length, by its coordinate reference system; 1 where that names none."""
-    text = reader.header.crs
-    if "US survey foot" in text or "Foot_US" in text or "foot_survey_us" in text:
+    if "US survey foot" in crs or "Foot_US" in crs or "foot_survey_us" in crs:
         return 1200 / 3937
-    if 'UNIT["Foot"' in text or 'LENGTHUNIT["foot"' in text or 'UNIT["foot"' in text:
+    if 'UNIT["Foot"' in crs or 'LENGTHUNIT["foot"' in crs or 'UNIT["foot"' in crs:
         return 0.3048
     return 1.0

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
-from bpy.props import StringProperty
+from bpy.props import BoolProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
 from ...formats.hierarchies.opening import ENDS
@@ -28,9 +28,15 @@ class POINTSPLAT_OT_link_scan(bpy.types.Operator, ImportHelper):
 
     filter_glob: StringProperty(default=";".join(f"*{end}" for end in ENDS), options={"HIDDEN"})
 
+    use_unit: BoolProperty(
+        name="Feet to Metres",
+        description="Scale objects of files whose coordinate reference system counts in feet",
+        default=True,
+    )
+
     def execute(self, context):
         try:
-            ob, source = link_scan(context, Path(bpy.path.abspath(self.filepath)))
+            ob, source = link_scan(context, Path(bpy.path.abspath(self.filepath)), self.use_unit)
         except (PointFileError, OSError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

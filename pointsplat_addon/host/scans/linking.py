@@ -14,16 +14,20 @@ from ...formats.hierarchies.source import PageSource
 from ...formats.points.gather import Gathered
 from ...formats.points.opening import FOLDERS
 from ...formats.points.reader import Columns, PointFileError
-from .importing import placed
+from .importing import placed, unit_of
 
 STAND_IN = 1 << 13  # points that the object holds, for Solid mode and other engines
 OF_NODES = frozenset({"axis", "radii", "covered", "coherence"})  # columns of nodes, whose normals are their kernels'
 SPREAD = 0.62  # the golden section, by whose multiples points of the root are taken: evenly, whatever their order
 
 
-def link_scan(context: Any, path: Path) -> tuple[bpy.types.Object, PageSource]:
+def link_scan(context: Any, path: Path, use_unit: bool = True) -> tuple[bpy.types.Object, PageSource]:
     """Makes an object of a file, which is linked to the active collection and selected; returns it, and the file, which
-    the caller closes. Raises PointFileError and OSError; no object is made then."""
+    the caller closes.
+
+    `use_unit`: objects of files that count in feet are scaled. Raises PointFileError and OSError; no object is made
+    then.
+    """
     path = path.parent if path.name.lower() == "ept.json" else path
     source = open_pages(path)
     try:
@@ -32,7 +36,8 @@ def link_scan(context: Any, path: Path) -> tuple[bpy.types.Object, PageSource]:
             raise PointFileError(path, "has no points in its first page")
         found = stand_in(source, root)
         name = path.name if path.is_dir() else path.stem.removesuffix(".copc")
-        ob = placed(context, name, found, source.directory.crs, 1.0)
+        crs = source.directory.crs
+        ob = placed(context, name, found, crs, unit_of(crs) if use_unit else 1.0)
     except BaseException:
         source.close()
         raise

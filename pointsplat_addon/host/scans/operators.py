@@ -148,7 +148,7 @@ class POINTSPLAT_OT_import_points(Stepwise, bpy.types.Operator, ImportHelper):
             return 1.0
         reader = open_points(path)
         try:
-            return unit_of(reader)
+            return unit_of(reader.header.crs)
         finally:
             reader.close()
 
