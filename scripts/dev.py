@@ -296,7 +296,8 @@ def test_groups(arguments):
                 set(map(os.path.dirname, glob.glob(os.path.join(ROOT, "tests", "render", "*", "test_*.py"))))
             )
             parts = [os.path.relpath(folder, ROOT) for folder in folders]
-            parts += [os.path.join(name, f) for f in ("core", "formats", "reference", "scripts", "extreme", "blender")]
+            rooms = ("core", "formats", "stream", "reference", "scripts", "extreme", "blender")
+            parts += [os.path.join(name, room) for room in rooms]
         for part in parts:
             if part.startswith(os.path.join("tests", "blender")):
                 is_folder = os.path.isdir(os.path.join(ROOT, part))

@@ -31,8 +31,8 @@ BALLS_PER_PIXEL = 4  # of the picture: nodes are fewer only where balls are more
 
 
 def with_hierarchy_if_it_pays(view: View, points: PointSet, view_from_object: np.ndarray) -> PointSet:
-    """Returns the points with an octree, if it would save more time than building it takes; in an interactive view also
-    if it is already built. Final pictures do not depend on what was drawn before them: other machines draw the others.
+    """Returns the points with an octree, if it would save more time than building it takes, or is already built. What
+    is translucent in final pictures does not depend on what was drawn before them: other machines draw the others.
 
     `view_from_object`: (I, 4, 4) of the instances that draw the points. In an interactive view the octree is built on
     another thread and the points are returned without it, unless they are too many to be drawn.
@@ -42,7 +42,7 @@ def with_hierarchy_if_it_pays(view: View, points: PointSet, view_from_object: np
     opaque = plain.cloud.opacity is None and plain.cloud.extinction is None
     if opaque and view.settings.technique == "VISIBILITY":
         return plain
-    if key not in store or not view.interactive:
+    if key not in store or not (opaque or view.interactive):
         if not _pays(view, plain, view_from_object):
             return plain
         bare = len(plain.cloud) * len(view_from_object)

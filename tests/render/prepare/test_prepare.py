@@ -99,13 +99,21 @@ def test_a_tree_is_built_where_it_leaves_out_most_points_and_pays_by_many_sample
     assert prepared(far, samples=1000).cut.splats < 100
 
 
-def test_a_tree_that_is_there_is_used_by_viewports_while_final_pictures_do_not_depend_on_those_before():
+def test_a_tree_that_is_there_is_used():
     store = Store()
     cloud = replace(clouds.sphere_cloud(20000), radii=np.full((20000, 1), 1e-2, np.float32))
     near = Case(build.scene((build.points("dense again", cloud), build.moved())), cameras.camera())
     prepared(at_distance(near, 4000.0), store, samples=1000)
-    assert prepared(near, store, interactive=True).point_sets[0].hierarchy is not None
-    assert prepared(near, store).point_sets[0].hierarchy is None
+    assert prepared(near, store).point_sets[0].hierarchy is not None
+
+
+def test_what_is_translucent_in_final_pictures_does_not_depend_on_those_before():
+    store, opacity = Store(), np.full(20000, 0.5, np.float32)
+    cloud = replace(clouds.sphere_cloud(20000), radii=np.full((20000, 1), 1e-2, np.float32), opacity=opacity)
+    near = Case(build.scene((build.points("dense fog", cloud), build.moved())), cameras.camera())
+    prepared(at_distance(near, 4000.0), store, samples=1000)
+    assert prepared(near, store, interactive=True).translucent.point_sets[0].hierarchy is not None
+    assert prepared(near, store).translucent.point_sets[0].hierarchy is None
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -55,7 +55,8 @@ def captured_entries(rows: GridRows, batch: Casters, share: float = 1.0) -> Iter
 
 class _Seen:
     """N splats as a light sees them: centres in its coordinates, and covariances in the plane across the ray to each,
-    in the units of the grids' steps."""
+    in radians or, of parallel rays, in the unit: a power of two near the finest step, so that fourth powers of lengths
+    are numbers of float32 in worlds of any size."""
 
     def __init__(self, rows: GridRows, batch: Casters) -> None:
         frame = rows.frame
@@ -69,7 +70,11 @@ class _Seen:
         u, v, w = (np.einsum("nkc,nc->kn", axes, d) for d in (self.east, self.north, self.ray))
         self.rim = 2 * np.log(np.maximum(batch.opacity / LEAST_ALPHA, 1))  # q where alpha is LEAST_ALPHA
         self.opacity = batch.opacity
-        if not frame.parallel:
+        self.unit = np.float32(1)
+        if frame.parallel:
+            self.unit = np.exp2(np.round(np.log2(rows.step[KINDS.index("CAPTURED") * rows.levels]))).astype(np.float32)
+            u, v, w = u / self.unit, v / self.unit, w / self.unit
+        else:
             floor = np.maximum(self.distance, np.float32(1e-30))
             self.opacity = np.where(_holds_light(axes, local), np.float32(0), self.opacity)
             u, v = u / floor, v / floor
@@ -102,18 +107,19 @@ def _holds_light(axes: np.ndarray, local: np.ndarray) -> np.ndarray:
 def _drawn(rows: GridRows, seen: _Seen, wider: float) -> _Block:
     """The entries of splats, in cells `wider` times as wide as these ask for."""
     frame, first = rows.frame, KINDS.index("CAPTURED") * rows.levels
-    finest = rows.step[first]
+    finest = rows.step[first] / seen.unit
     level = np.floor(np.log2(np.maximum(seen.width * np.float32(wider) / finest, np.float32(1e-30))))
     level = np.clip(level, 0, rows.levels - 1).astype(np.int32) + first
     step = rows.step[level]
-    more = np.maximum(-NARROWED * step**2, LEAST_VARIANCE * step**2 - seen.minor)
+    area = (step / seen.unit) ** 2
+    more = np.maximum(-NARROWED * area, LEAST_VARIANCE * area - seen.minor)
     uu, vv = seen.uu + more, seen.vv + more
     det = (seen.minor + more) * (seen.major + more)
     kept = np.sqrt(seen.det / det)
     rim = np.where(seen.opacity > 0, seen.rim, np.float32(0))
 
     # Cells in a box around each.
-    up, across = np.sqrt(rim * vv), np.sqrt(rim * uu)
+    up, across = np.sqrt(rim * vv) * seen.unit, np.sqrt(rim * uu) * seen.unit
     if not frame.parallel:
         # A circle of latitude curves towards the pole.
         up = up + np.minimum(across**2 * np.abs(np.tan(seen.latitude)) / 2, across)
@@ -152,7 +158,8 @@ def _drawn(rows: GridRows, seen: _Seen, wider: float) -> _Block:
         ahead = np.maximum(ahead, np.float32(SIDEWAYS))
         u, v = u / ahead, v / ahead
     conic = [(array / det)[which] for array in (vv, -seen.uv, uu)]
-    q = conic[0] * u * u + 2 * conic[1] * u * v + conic[2] * v * v
+    x, y = u / seen.unit, v / seen.unit
+    q = conic[0] * x * x + 2 * conic[1] * x * y + conic[2] * y * y
     inside = np.flatnonzero(meets & (q < rim[which]))
     which, row, column, u, v, q = (array[inside] for array in (which, row, column, u, v, q))
     depth = -np.log1p(-seen.opacity[which] * np.exp(-0.5 * q)) * kept[which]
