@@ -9,7 +9,9 @@ bpy = pytest.importorskip("bpy")
 
 import pointsplat_addon
 from pointsplat_addon.formats.hierarchies.building.build import Settings, build
+from pointsplat_addon.formats.hierarchies.psh import PshPages
 from pointsplat_addon.host.scans import picking
+from pointsplat_addon.host.scans.building import build_scan
 from pointsplat_addon.host.scans.linking import STAND_IN
 from pointsplat_addon.host.scans.looks import look_material
 from pointsplat_addon.stream.pool import POOL
@@ -34,6 +36,12 @@ def folder(tmp_path: Path) -> Path:
     place = np.random.default_rng(4).integers(0, SIDE, (COUNT, 3)) * [1, 1, 0] + [0, 0, SIDE // 2]
     write_octree(tmp_path / "survey", place, 1000)
     return tmp_path / "survey"
+
+
+def write_points(path: Path, place: np.ndarray) -> None:
+    """A file of positions (N, 3)."""
+    records = np.ascontiguousarray(place, np.float32).view([(axis, np.float32) for axis in "xyz"]).reshape(-1)
+    write_ply(path, records, "binary_little_endian")
 
 
 def link(path: Path):
@@ -190,3 +198,36 @@ def test_the_points_of_a_hierarchy_close_their_surface_where_that_is_asked_for(t
         image = bpy.data.images.load(scene.render.filepath)
         covered[shape] = np.array(image.pixels[:]).reshape(32, 48, 4)[2:-2, 8:-8, 3].mean()
     assert covered["BALLS"] < 0.5 < 0.97 < covered["SURFACE"]
+
+
+def test_files_are_built_and_linked(tmp_path):
+    place = np.random.default_rng(5).random((COUNT, 3)) * [100, 80, 1]
+    for i, part in enumerate(np.array_split(place, 2)):
+        write_points(tmp_path / f"tile{i}.ply", part)
+    names = [{"name": f"tile{i}.ply"} for i in range(2)]
+    found = bpy.ops.pointsplat.build_scan(directory=str(tmp_path), files=names, normals=False)
+    assert found == {"FINISHED"}
+    assert not list(tmp_path.glob("*.building"))
+    ob = bpy.context.object
+    assert Path(ob.pointsplat.scan_path) == tmp_path / f"{tmp_path.name}.psh"
+    with PshPages(tmp_path / f"{tmp_path.name}.psh") as pages:
+        assert pages.directory.points == COUNT
+
+
+def test_a_build_that_is_stopped_goes_on_where_it_was(tmp_path):
+    write_points(tmp_path / "scan.ply", np.random.default_rng(6).random((COUNT, 3)))
+    whole, other = tmp_path / "whole.psh", tmp_path / "other.psh"
+    build([tmp_path / "scan.ply"], whole, Settings(1 << 30, workers=1), lambda stage, share: None)
+    work = build_scan([tmp_path / "scan.ply"], other, False, ())
+    next(work)
+    work.close()
+    for _ in build_scan([tmp_path / "scan.ply"], other, False, ()):
+        pass
+    assert other.read_bytes() == whole.read_bytes()
+
+
+def test_what_cannot_be_built_is_told_and_makes_no_object(tmp_path):
+    (tmp_path / "broken.las").write_bytes(b"LASF" + bytes(50))
+    with pytest.raises(RuntimeError, match=r"broken\.las"):
+        bpy.ops.pointsplat.build_scan(filepath=str(tmp_path / "broken.las"))
+    assert not bpy.data.objects

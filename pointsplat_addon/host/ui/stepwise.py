@@ -67,7 +67,7 @@ class Stepwise:
         except StopIteration as done:
             self.finish(done.value)
             return {"FINISHED"}
-        except (PointFileError, OSError, MemoryError) as error:
+        except (PointFileError, ValueError, OSError, MemoryError) as error:
             operator.report({"ERROR"}, str(error) or f"There is not enough memory for the {self.noun}")
             return {"CANCELLED"}
         return None
