@@ -92,7 +92,7 @@ class Film:
         return [unit for frame in self.numbers for unit in self.missing_of(frame)]
 
     def missing_of(self, frame: int) -> list[Unit]:
-        """Of a frame: itself, or its parts; once these are all there, itself. Nothing where it is there or failed."""
+        """What can be drawn now of a frame: its parts; once these are there, itself; nothing if it is there or failed."""
         if frame in self.failed or farm_task.is_there(self.job, frame, WHOLE):
             return []
         parts = range(1, self.job["parts"] + 1) if self.job["parts"] > 1 else ()
@@ -148,7 +148,7 @@ class Film:
 
 
 def name(found: dict) -> str:
-    """Of a frame or part, for people."""
+    """What a frame, or a part of one, is called in messages."""
     return f"frame {found['frame']}" + (f", part {found['part']}," if found["part"] != WHOLE else "")
 
 

@@ -62,8 +62,7 @@ class Viewport:
         self._scene = self.synchronizer.scene(depsgraph, view3d=context.space_data)
         self._drop()
         self._error = ""
-        self._hasty = False  # the frame has few samples, for pages of scans are still to come
-        self._made_at, self._made_in = 0.0, 0.0  # when the frame was begun, and what drawing it took, seconds
+        self._hasty, self._made_at, self._made_in = False, 0.0, 0.0
 
     def draw(self, engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Draw one more sample into the region, and request a redraw while there is more to do."""

@@ -26,7 +26,7 @@ SIDE = 12.0  # metres, of the scan
 
 
 def height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Of the hill that is scanned, in metres: level where the cow stands."""
+    """Returns heights of the scanned hill, in metres: it is level where the cow stands."""
     return 0.06 * np.maximum(np.hypot(x, y) - 1.5, 0) ** 2 * (1 + 0.5 * np.sin(1.3 * x + 0.4 * y))
 
 

@@ -16,8 +16,14 @@ void main()
   PsHit hit = ps_meet_tube(ps_pixel_from_cell(gl_FragCoord.xy), tube);
   float d = hit.d;
 #ifdef PS_DEPTH_ONLY
-  // Where the ray leaves it: a strand that is shaded as a whole does not shade itself.
-  d = max(2.0 * mix(-v_from.z, -v_to.z, clamp(hit.along, 0.0, 1.0)) - d, d);
+  // Where the ray leaves it: a strand that is shaded as a whole does not shade itself. Half of the way there is where ray and axis
+  // are nearest to each other.
+  vec3 p = ps_view_from_pixel(ps_pixel_from_cell(gl_FragCoord.xy), d), ray = ps_is_perspective() ? p / d : vec3(0.0, 0.0, -1.0);
+  vec3 axis = v_to.xyz - v_from.xyz, apart = p - v_from.xyz;
+  axis *= 1.0 / max(length(axis), 1e-30);
+  float far = dot(ray, ray), across = dot(ray, axis);
+  float nearest = (across * dot(axis, apart) - dot(ray, apart)) / max(far - across * across, PS_LEAST_SINE * PS_LEAST_SINE * far);
+  d += 2.0 * max(nearest, 0.0);
 #endif
   if (!(d >= u.near && d <= u.far)) {
     discard;

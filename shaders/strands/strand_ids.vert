@@ -71,13 +71,17 @@ void main()
 #endif
   v_position = found.position;
 #if defined(PS_DEPTH_ONLY) && !defined(PS_RIBBON)
-  // The side that light leaves: a strand that is shaded as a whole does not shade itself.
+  // The side that light leaves, as deep as a ray goes through the strand: a strand that is shaded as a whole does not shade itself.
 #ifdef PS_THIN
   bool second = corner == 1;
 #else
   bool second = corner == 1 || corner == 2 || corner == 4;
 #endif
-  v_position.z -= ps_instance_row(segment.instance, 3).y * texelFetch(ps_point, second ? segment.to : segment.from, 0).w;
+  vec4 from = texelFetch(ps_point, segment.from, 0), to = texelFetch(ps_point, segment.to, 0);
+  vec3 along = ps_linear(segment.instance) * (to.xyz - from.xyz);
+  vec3 ray = ps_is_perspective() ? normalize(v_position) : vec3(0.0, 0.0, -1.0);
+  float sine = length(cross(along, ray)) / max(length(along), 1e-30);
+  v_position.z -= ps_instance_row(segment.instance, 3).y * (second ? to.w : from.w) / max(sine, PS_LEAST_SINE);
 #endif
   v_extent = found.extent;
   v_rows = found.rows ? 1 : 0;

@@ -39,7 +39,7 @@ def build_scan(
         nonlocal share
         if stopped.is_set():
             raise StoppedError
-        low, high = STAGES.get(stage, (share, share))
+        low, high = STAGES[stage]
         share = low + done * (high - low)
 
     # One process, this one: Blender's cannot be started again as others.

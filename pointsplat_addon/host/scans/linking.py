@@ -58,7 +58,7 @@ def stored_path(path: Path) -> str:
 
 
 def stand_in(source: PageSource, root: Columns) -> Gathered:
-    """Some points of a scan's root, evenly spread over it, as an import has them."""
+    """Returns at most STAND_IN points of a scan's first page, `root`, evenly spread over it, as an import has them."""
     count = len(root["position"])
     rows = np.arange(count)
     if count > STAND_IN:

@@ -16,7 +16,7 @@
 #define PS_MAP_BIAS_OF_BALLS 0.8  // the surfaces of other balls rise above that plane within a texel, where they meet
 #define PS_MAP_BIAS_IN_MEDIA 1.5
 #define PS_MAP_BIAS_OF_STRANDS 0.1  // what lies within a wide texel does not shade them, which fur seen from afar shows
-#define PS_MAP_RISE_OF_STRANDS 0.4  // pixels: thin strands are drawn a cell, a quarter of one, wide at least
+#define PS_MAP_RISE_OF_STRANDS 0.25  // pixels: a cell, as wide as thin strands are drawn at least
 #define PS_MAP_ROUNDING 2e-6  // of distances
 #define PS_MAP_STEEPEST 0.1  // cosine: surfaces that light grazes more closely are treated as this one
 #define PS_MAP_BACK vec2(0.1, 0.3)  // cosines, see ps_map_above

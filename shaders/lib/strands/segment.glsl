@@ -4,6 +4,8 @@
 #include "lib/geometry/instance.glsl"
 #include "lib/strands/tube.glsl"
 
+#define PS_LEAST_SINE 0.1  // between a strand and a ray of light: what is turned to it more closely is treated as this
+
 struct PsSegment {
   ivec2 from, to;  // texels of the points at both ends
   int instance;

@@ -63,17 +63,19 @@ def test_strands_keep_as_much_light_as_they_are_wide(width, light):
 WORST = 0.08
 
 
-def test_strands_do_not_shade_themselves():
-    """One strand alone, in all directions of an arc, from a twentieth of a pixel to two (measured: no difference)."""
-    turn = np.linspace(0, np.pi, 33)
+# Measured: 0; 0, 6e-4 and 1.3e-3 where the sun is aslant, and a ray leaves a tube beyond the end of a segment.
+@pytest.mark.parametrize(("direction", "most"), [((0.0, 0.0, -1.0), 1e-3), ((0.6, 0.3, -0.74), 2e-3)])
+def test_strands_do_not_shade_themselves(direction, most):
+    """One strand alone, in all directions of an arc, from a twentieth of a pixel to two."""
+    turn, sun = np.linspace(0, np.pi, 33), replace(SUN, direction=np.array(direction) / np.linalg.norm(direction))
     for width in (0.0005, 0.005, 0.02):
         arc = build.strand_lines(f"arc {width}", [0.5 * np.stack([np.cos(turn), 0 * turn, np.sin(turn)], 1)], width / 2)
         # Something must lie behind it, or it casts nothing; that is out of the picture.
         away = build.mesh(meshes.plane_mesh("away", 0.1), "POLYGONS"), build.moved((0, 0, -3)) @ LAID
-        shaded, report = lit(SUN, (arc, np.eye(4)), away)
-        without, _ = lit(SUN, (arc, np.eye(4)), away, shadows=False)
+        shaded, report = lit(sun, (arc, np.eye(4)), away)
+        without, _ = lit(sun, (arc, np.eye(4)), away, shadows=False)
         assert cast_by(report) == {"shadow maps"}
-        assert abs(shaded.sum() / without.sum() - 1) < 1e-3, f"{width}: {shaded.sum() / without.sum():.4f}"
+        assert abs(shaded.sum() / without.sum() - 1) < most, f"{width}: {shaded.sum() / without.sum():.4f}"
 
 
 def test_lights_with_a_size_have_strands_in_tables():

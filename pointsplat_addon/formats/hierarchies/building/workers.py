@@ -17,7 +17,7 @@ AHEAD = 2  # steps for each worker that are handed out at once
 
 
 class Workers(Protocol):
-    """Those who do steps."""
+    """Does the steps of a build, here or elsewhere."""
 
     def run(self, works: Sequence[Work]) -> Iterator[tuple[int, dict[str, Any]]]:
         """Does all steps, in any order; yields the number and the result of each that is done. Raises what a step
