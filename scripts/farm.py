@@ -92,7 +92,7 @@ class Film:
         return [unit for frame in self.numbers for unit in self.missing_of(frame)]
 
     def missing_of(self, frame: int) -> list[Unit]:
-        """What can be drawn now of a frame: its parts; once these are there, itself; nothing if it is there or failed."""
+        """What can be drawn now of a frame: its parts; with these there, itself; nothing if it is there or failed."""
         if frame in self.failed or farm_task.is_there(self.job, frame, WHOLE):
             return []
         parts = range(1, self.job["parts"] + 1) if self.job["parts"] > 1 else ()
