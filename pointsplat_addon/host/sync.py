@@ -65,7 +65,7 @@ class Synchronizer:
             transparent=evaluated.render.film_transparent,
             mist=Mist(mist.start, mist.depth, mist.falloff) if mist else Mist(),
             warnings=(
-                *_unsupported(collected.unsupported | self._meshes_with_volumes(collected.sources, table)),
+                *_unsupported(collected.unsupported),
                 *self._translucent_polygons(collected.sources, table),
                 *self._geometries.warnings(),
                 *self._material_warnings,
@@ -101,16 +101,6 @@ class Synchronizer:
             self._materials, self._material_warnings = table, tuple(warnings)
         return self._materials
 
-    def _meshes_with_volumes(self, sources: Iterable[Source], table: MaterialTable) -> dict[str, list[str]]:
-        """Names of meshes whose materials have a medium, as a kind of objects that is not supported."""
-        names = [
-            source.name
-            for source in sources
-            if isinstance(source.data, bpy.types.Mesh) and not source.particles and not source.smoke and not source.hair
-            if any(table.media[row] for m in source.materials if (row := self._cache.row(m)) < len(table.media))
-        ]
-        return {"volumes within meshes": names} if names else {}
-
     def _translucent_polygons(self, sources: Iterable[Source], table: MaterialTable) -> list[str]:
         """A warning that names meshes whose primitive is Polygons although their materials are translucent."""
         if table.translucent is None:
@@ -119,7 +109,8 @@ class Synchronizer:
             source.name
             for source in sources
             if source.primitive == "POLYGONS" and isinstance(source.data, bpy.types.Mesh) and not source.particles
-            and not source.hair and any(table.translucent[self._cache.row(m)] for m in source.materials)
+            and not source.hair and not source.filled
+            and any(table.translucent[self._cache.row(m)] for m in source.materials)
         })  # fmt: skip
         if not names:
             return []
