@@ -230,8 +230,9 @@ class Geometries:
             key, source.name, made.index, made.object_from_index, {}, rows[0],
             share=made.share, scale=float(np.cbrt(scale.prod())),
         )  # fmt: skip
-        found = scene.Geometry(f"{key} {rows[0]} {source.extinction:g}", source.name, volume=volume,
-                               extinction=source.extinction)
+        found = scene.Geometry(
+            f"{key} {rows[0]} {source.extinction:g}", source.name, volume=volume, extinction=source.extinction
+        )
         return self._cache.lookup(found.key, lambda: found), warnings
 
     def _convert_volume(

@@ -136,7 +136,7 @@ RULES: dict[type, dict[str, Rule]] = {
     },
     PointSize: {"radius": Rule(LATER)},  # radii of points are checked
     StreamedScan: {"box_from_object": Rule(LATER)},  # comparisons with what is no number are false
-    Volume: {"object_from_index": Rule(LATER), "grids": _VOXELS, "share": _VOXELS, "scale": _VOXELS},  # its points are valid: `valid_points`
+    Volume: {"object_from_index": Rule(LATER), **dict.fromkeys(("grids", "share", "scale"), _VOXELS)},  # `valid_points`
     Transfer: dict.fromkeys(("low", "high", "ramp", "density"), _VOXELS),
     Medium: dict.fromkeys(
         ("density", "color", "absorption", "anisotropy", "emission", "blackbody", "blackbody_tint", "temperature"),

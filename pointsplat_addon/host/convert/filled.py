@@ -1,4 +1,4 @@
-"""Meshes whose materials have a volume: what fills them is a source of its own, beside their surface if they have one."""
+"""Meshes whose materials have a volume: what fills them is a source of its own, beside their surface if any."""
 
 from __future__ import annotations
 
