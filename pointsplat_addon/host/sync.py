@@ -8,6 +8,7 @@ from functools import lru_cache
 import bpy
 import numpy as np
 
+from ..core.light.fog import without_far_light
 from ..core.numeric.cryptomatte import cryptomatte_hash
 from ..core.scene import scene
 from ..core.scene.materials import MaterialTable
@@ -56,7 +57,7 @@ class Synchronizer:
         evaluated = depsgraph.scene_eval
         mist_world = getattr(depsgraph.view_layer_eval, "world_override", None) or evaluated.world
         mist = mist_world.mist_settings if mist_world else None
-        return scene.Scene(
+        return without_far_light(scene.Scene(
             geometries=geometries,
             instances=instances,
             materials=table,
@@ -72,7 +73,7 @@ class Synchronizer:
                 *light_warnings,
                 *world_warnings,
             ),
-        )
+        ))
 
     def forget(self) -> None:
         """Read everything again next time; what still has the same content is not converted again."""

@@ -12,6 +12,7 @@
 #include "lib/splat/kernel.glsl"
 #include "lib/data/pack.glsl"
 #include "lib/light/lights.glsl"
+#include "lib/light/in_fog.glsl"
 #include "lib/data/materials.glsl"
 #include "lib/geometry/finite.glsl"
 #ifdef PS_DEFOCUS
@@ -269,6 +270,10 @@ void main()
     source += ps_shade(lit_position, facing, vec3(0.0), to_eye, surface, u.light_count);
 #endif
   }
+
+#if defined(PS_FOG) && !defined(PS_REACH)
+  source = ps_in_fog(source, p, pixel, u.light_count);
+#endif
 
 #ifdef PS_FUZZY_DISCONNECTED
   // What stands apart hides as much as if it were not widened: core/splat/painter.py, `thinned`.

@@ -82,6 +82,12 @@ RULES: dict[type, dict[str, Rule]] = {
         "image": Rule(LATER),  # the environment's importance ignores texels that are no numbers
         "world_rotation": Rule(DEFAULT, -1.01, 1.01),  # float32's rounding, and no more
     },
+    Fog: {
+        "extinction": Rule(CLAMP, 0, STRONGEST),
+        "scattering": Rule(CLAMP, 0, STRONGEST),
+        "emission": Rule(CLAMP, 0, STRONGEST),
+        "anisotropy": Rule(CLAMP, -1, 1),
+    },
     Mist: dict.fromkeys(("start", "depth"), Rule(LATER)),  # it changes a pass of its own alone
     Camera: {
         "view_from_world": Rule(WORLD_ONLY, *_DISTANCE),  # and it must be rigid

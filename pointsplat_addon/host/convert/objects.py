@@ -11,7 +11,7 @@ import numpy as np
 
 from ...core.scene.volume import Transfer
 from .captured import ANTIALIASED
-from .filled import axis_lengths, filling_material, with_filling
+from .material.filled import axis_lengths, filling_material, has_surface
 from .pages import LinkedScan
 from .particles import read_particles
 from .point_shapes import PointShape, pixel_radius_of, shape_of
@@ -143,7 +143,7 @@ def collect(
                 source.motion = motion
                 own = [source]
                 if scale and source.smoke is None and (medium := media[uid]) is not None:
-                    own = with_filling(source, medium, scale)
+                    own = _with_filling(source, medium, scale)
                 sources += own if instance.show_self else []
                 if len(ob.particle_systems) and instance.show_particles:
                     # Hair is read later, when the instance and its object no longer live
@@ -201,6 +201,16 @@ def _make_source(
         clip=clip,
         scan=linked_scan(ob),
     )
+
+
+def _with_filling(source: Source, material: bpy.types.Material, scale: tuple[float, ...]) -> list[Source]:
+    """Returns the source of a mesh, if it has a surface, and that of what fills it.
+
+    scale: `axis_lengths` of the instance. Densities are those of world space: instances of other sizes are filled by
+    other voxels.
+    """
+    filled = replace(source, materials=(material, *source.materials), filled=scale, primitive="AUTO")
+    return [source, filled] if has_surface(source.materials) else [filled]
 
 
 def _is_matte(ob: bpy.types.Object) -> bool:
