@@ -26,7 +26,7 @@ from .strands import Strands
 from .valid.captured import valid_captured
 from .valid.geometry import valid_mesh, valid_points, valid_strands
 from .volume import Medium, Transfer, Volume
-from .world import Mist, World
+from .world import Fog, Mist, World
 
 FLOAT32 = float(np.finfo(np.float32).max)
 BRIGHTEST = 65504.0  # of half floats
@@ -283,7 +283,7 @@ def _clamped(owner: Any, default: Any) -> dict[str, Any]:
     """The columns (M, ...) of a table that have to change, clamped; NaN becomes the default's first row, else 0."""
     changed = {}
     for name in _wrong(owner, CLAMP):
-        column, rule = getattr(owner, name), RULES[type(owner)][name]
+        column, rule = np.asarray(getattr(owner, name)), RULES[type(owner)][name]
         other = getattr(default, name, None)
         missing = 0.0 if other is None else other[:1]
         changed[name] = np.clip(np.where(np.isnan(column), missing, column), rule.low, rule.high).astype(column.dtype)
@@ -294,6 +294,8 @@ def _valid_world(world: World) -> World:
     if _wrong(world, CLAMP):
         color = np.nan_to_num(world.color, nan=0.0, posinf=FARTHEST, neginf=0.0)
         world = replace(world, color=np.clip(color, -FARTHEST, FARTHEST))
+    if world.fog is not None and (fog := _clamped(world.fog, None)):
+        world = replace(world, fog=replace(world.fog, **fog))
     return replace(world, world_rotation=np.eye(3)) if _wrong(world, DEFAULT) else world
 
 

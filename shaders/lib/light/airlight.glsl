@@ -1,11 +1,10 @@
-// Light that the world's fog scatters once towards the eye, along a ray. For lights.glsl; float64 twin: tests/reference/fog.py.
+// Light that the world's fog scatters once towards the eye, along a ray. For in_fog.glsl; float64 twin: tests/reference/fog.py.
 // Along a ray that passes a lamp at a distance h, the light that arrives falls as 1 / (h^2 + t^2): over the angle at which the lamp
 // sees the ray it is even (Kulla and Fajardo 2012), and Gauss's rule with 16 places makes the integral without shadows. What shadows leave
 // of it is the share that reaches places which are spread evenly over the same angle; their offset differs from pixel to pixel.
 
-#ifdef PS_FOG
-
 #define PS_FOG_DEEPEST 16.0  // optical depth beyond which nothing is seen
+#define PS_FOG_FARTHEST 1e15  // whose square float32 holds
 #define PS_FOG_SHADOWS 32  // places along a ray at which shadows are looked up
 #define PS_FOG_CLOSEST 1e-3  // distance of a ray from a lamp over that of the lamp, below which places are taken as at this one
 
@@ -111,7 +110,7 @@ vec3 ps_airlight(vec3 origin, vec3 direction, float far, float jitter, int light
   vec3 result = ps_fog_texel(2).rgb * (1.0 - exp(-extinction * far)) / max(extinction, vec3(1e-20));
 #ifdef PS_HAS_LAMPS
   float least = min(extinction.r, min(extinction.g, extinction.b));
-  PsFogRay ray = PsFogRay(origin, direction, min(far, PS_FOG_DEEPEST / max(least, 1e-20)));
+  PsFogRay ray = PsFogRay(origin, direction, min(far, min(PS_FOG_DEEPEST / max(least, 1e-20), PS_FOG_FARTHEST)));
   vec3 scattering = ps_fog_texel(1).rgb;
   ivec4 ends = ps_light_ends();
 #ifdef PS_FOOTPRINT
@@ -124,5 +123,3 @@ vec3 ps_airlight(vec3 origin, vec3 direction, float far, float jitter, int light
 #endif
   return result;
 }
-
-#endif
