@@ -134,8 +134,8 @@ void main()
   }
   ps_finish(seen);
 #if defined(PS_FOG)
-  vec3 behind = ps_background(ps_ray(gl_FragCoord.xy));
-  seen.color += vec4(seen.left * ps_behind_fog(behind, gl_FragCoord.xy, u.light_count), seen.left.y);
+  vec4 behind = ps_behind_fog(gl_FragCoord.xy, u.light_count);
+  seen.color += vec4(seen.left, seen.left.y) * behind;
 #elif defined(PS_BACKDROP)
   seen.color += vec4(seen.left * ps_backdrop_at(gl_FragCoord.xy), seen.left.y);
 #elif defined(PS_BACKGROUND)

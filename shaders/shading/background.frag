@@ -38,8 +38,8 @@ void main()
   }
 #endif
 #if defined(PS_FOG) && !defined(PS_AUXILIARY_ONLY)
-  vec3 behind = ps_background(ps_ray(gl_FragCoord.xy));
-  out_combined = open * vec4(ps_finite(ps_behind_fog(behind, gl_FragCoord.xy, u.light_count)), 1.0);
+  vec4 behind = ps_behind_fog(gl_FragCoord.xy, u.light_count);
+  out_combined = open * vec4(ps_finite(behind.rgb), behind.a);
 #elif defined(PS_BACKDROP)
   out_combined = open * vec4(ps_finite(ps_backdrop_at(gl_FragCoord.xy)), 1.0);
 #elif defined(PS_BACKGROUND)

@@ -19,7 +19,7 @@ TEXELS = 3
 
 def without_far_light(scene: Scene) -> Scene:
     """Returns a scene whose suns and world have what the fog of its world leaves of them, which is no light in
-    channels that it absorbs or scatters. A film that is transparent shows the fog."""
+    channels that it absorbs or scatters."""
     fog = scene.world.fog
     if fog is None:
         return scene
@@ -35,7 +35,6 @@ def without_far_light(scene: Scene) -> Scene:
         scene,
         lights=tuple(x for x in lights if x.kind != "SUN" or np.any(x.color)),
         world=world,
-        transparent=scene.transparent and bool(clear.all()),
     )
 
 

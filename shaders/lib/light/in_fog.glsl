@@ -27,12 +27,16 @@ vec3 ps_in_fog(vec3 radiance, vec3 position, vec2 at, int light_count)
   return ps_fog_left(far) * radiance + ps_airlight(origin, direction, far, ps_fog_jitter(at), light_count);
 }
 
-// The radiance of what is infinitely far, behind a pixel.
-vec3 ps_behind_fog(vec3 radiance, vec2 at, int light_count)
+// Radiance and alpha of what lies behind all else in a pixel: the fog, and the world where it lets that through.
+vec4 ps_behind_fog(vec2 at, int light_count)
 {
   vec3 direction = ps_ray(at), origin = ps_fog_origin(ps_view_from_pixel(at, 0.0), direction);
-  return radiance * vec3(lessThanEqual(ps_fog_texel(0).rgb, vec3(0.0))) +
-         ps_airlight(origin, direction, 1e30, ps_fog_jitter(at), light_count);
+  vec3 airlight = ps_airlight(origin, direction, 1e30, ps_fog_jitter(at), light_count);
+#ifdef PS_BACKGROUND
+  return vec4(airlight + ps_background(direction) * vec3(lessThanEqual(ps_fog_texel(0).rgb, vec3(0.0))), 1.0);
+#else
+  return vec4(airlight, dot(vec3(greaterThan(ps_fog_texel(0).rgb, vec3(0.0))), vec3(1.0 / 3.0)));
+#endif
 }
 
 #endif
