@@ -57,23 +57,25 @@ class Synchronizer:
         evaluated = depsgraph.scene_eval
         mist_world = getattr(depsgraph.view_layer_eval, "world_override", None) or evaluated.world
         mist = mist_world.mist_settings if mist_world else None
-        return without_far_light(scene.Scene(
-            geometries=geometries,
-            instances=instances,
-            materials=table,
-            lights=tuple(lights),
-            world=world,
-            transparent=evaluated.render.film_transparent,
-            mist=Mist(mist.start, mist.depth, mist.falloff) if mist else Mist(),
-            warnings=(
-                *_unsupported(collected.unsupported),
-                *self._translucent_polygons(collected.sources, table),
-                *self._geometries.warnings(),
-                *self._material_warnings,
-                *light_warnings,
-                *world_warnings,
-            ),
-        ))
+        return without_far_light(
+            scene.Scene(
+                geometries=geometries,
+                instances=instances,
+                materials=table,
+                lights=tuple(lights),
+                world=world,
+                transparent=evaluated.render.film_transparent,
+                mist=Mist(mist.start, mist.depth, mist.falloff) if mist else Mist(),
+                warnings=(
+                    *_unsupported(collected.unsupported),
+                    *self._translucent_polygons(collected.sources, table),
+                    *self._geometries.warnings(),
+                    *self._material_warnings,
+                    *light_warnings,
+                    *world_warnings,
+                ),
+            )
+        )
 
     def forget(self) -> None:
         """Read everything again next time; what still has the same content is not converted again."""

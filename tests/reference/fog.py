@@ -1,7 +1,7 @@
 """Float64 twin of shaders/lib/light/airlight.glsl: light that fog scatters once along rays.
 
-Along a ray that passes a lamp at a distance h, with t from the nearest place, dt / (h^2 + t^2) = d(atan(t / h)) / h: over that
-angle the integrand is smooth (Kulla and Fajardo 2012; Sun et al. 2005 tabulate the same integral).
+Along a ray that passes a lamp at a distance h, with t from the nearest place, dt / (h^2 + t^2) = d(atan(t / h)) / h:
+over that angle the integrand is smooth (Kulla and Fajardo 2012; Sun et al. 2005 tabulate the same integral).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def airlight(
     far: np.ndarray | float = np.inf,
     visible: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> np.ndarray:
-    """(R, 3) radiance of the fog between the origins of rays (R, 3) and the distances `far`, lit by one lamp that is a point.
+    """(R, 3) radiance of the fog between the origins of rays (R, 3) and the distances `far`, lit by a lamp without size.
 
     `visible` tells of places (..., 3) which of them the lamp sees.
     """

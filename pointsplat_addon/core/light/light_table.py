@@ -14,8 +14,8 @@ from .light_shapes import KINDS, area_axes, beam_mean, blend_range, is_narrowed,
 
 # ps_lights, (FIRST_LIGHT + lights, WIDTH, 4) float32:
 #   rows 0 .. TABLE_ROWS      reflectance table, see bsdf.reflectance_table
-#   row TABLE_ROWS            (0) world colour; (1..3) columns of image_from_view; (4) where each kind but the last ends;
-#                             (5..7) fog, see fog.fog_texels
+#   row TABLE_ROWS            (0) world colour; (1..3) columns of image_from_view; (4) where each kind but the last
+#                             ends; (5..7) fog, see fog.fog_texels
 #   row SURFACE_ROW           dielectrics of one kind: see bsdf.surface_row
 #   rows FIRST_LIGHT ..       one light each, sorted by kind, see light_records
 SURFACE_ROW = TABLE_ROWS + 1

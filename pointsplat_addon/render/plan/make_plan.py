@@ -261,9 +261,7 @@ def _indirect(view: ViewToPlan, kinds: _Kinds) -> bool:
         isinstance(graph, MaterialGraph) and "emission" in graph.channels for graph in scene.materials.graphs
     )
     world = scene.world.image is not None or bool(np.any(scene.world.color > 0))
-    return (
-        drawn and not view.defocus and (emits or world or (settings.bounces > 0 and bool(scene.lights)))
-    )
+    return drawn and not view.defocus and (emits or world or (settings.bounces > 0 and bool(scene.lights)))
 
 
 def _shadows(shadows: Shadows) -> tuple[str, ...]:

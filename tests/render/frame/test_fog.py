@@ -85,7 +85,9 @@ def test_a_lamp_lights_surfaces_through_fog():
     wall = build.mesh(meshes.plane_mesh("lit wall in fog", 40.0), "POLYGONS"), moved((0, 3.0, 0))
     thin = replace(FOG, scattering=np.zeros(3))
     eye = CAMERAS["perspective"]
-    seen, clear = (draw(wall, lights=[LAMP], eye=eye, table=table, **more) for more in ({"fog": thin}, {"world": World()}))
+    seen, clear = (
+        draw(wall, lights=[LAMP], eye=eye, table=table, **more) for more in ({"fog": thin}, {"world": World()})
+    )
     origins, directions = rays(eye)
     far = (3.0 - origins[:, 1]) / directions[:, 1]
     way = np.linalg.norm(origins + far[:, None] * directions - LAMP.position, axis=1)
@@ -100,7 +102,10 @@ def test_what_stands_before_a_lamp_shades_the_fog():
     half = 0.5
     table = build.materials(base_color=[[0, 0, 0]], specular=[0])
     corners = half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
-    card = build.mesh(meshes.flat_mesh("card in fog", corners, np.array([[0, 1, 2], [0, 2, 3]])), "POLYGONS"), moved((0, 0, 1))
+    card = (
+        build.mesh(meshes.flat_mesh("card in fog", corners, np.array([[0, 1, 2], [0, 2, 3]])), "POLYGONS"),
+        moved((0, 0, 1)),
+    )
     seen = draw(card, lights=[lamp], eye=eye, table=table, samples=1)
 
     def visible(place: np.ndarray) -> np.ndarray:

@@ -43,12 +43,19 @@ def defocus_program(
     read = ["splat_centre", "shape", "source", "list", "tiles", "focused", "focus"]
     read += ["tint"] * tint + ["counts"] * adaptive
     return Interface(
-        "defocus", fragment="defocus/gather.frag", block=world_block("Gather", world, LENS_FIELDS, (("float",
-        "sample_weight"),)), outputs=(("vec4", "out_combined"),), samplers=(*(("FLOAT_2D", f"ps_{name}") for name in
-        read), *lighting_samplers(world)), defines=(*lighting_defines(world), *fog_defines(world), ("PS_TILE_SIZE", str(tile)),
-        *((TILE_DEFINE,) if adaptive else ()),
-                 *((name, "1") for name, on in named.items() if on)),
-    )  # fmt: skip
+        "defocus",
+        fragment="defocus/gather.frag",
+        block=world_block("Gather", world, LENS_FIELDS, (("float", "sample_weight"),)),
+        outputs=(("vec4", "out_combined"),),
+        samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(world)),
+        defines=(
+            *lighting_defines(world),
+            *fog_defines(world),
+            ("PS_TILE_SIZE", str(tile)),
+            *((TILE_DEFINE,) if adaptive else ()),
+            *((name, "1") for name, on in named.items() if on),
+        ),
+    )
 
 
 class Defocus:

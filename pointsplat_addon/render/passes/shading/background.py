@@ -39,5 +39,6 @@ def background_program(
     return Interface(
         "background", fragment="shading/background.frag", block=world_block("Background", world),
         outputs=averaged_outputs(passes, combined), samplers=(*(("FLOAT_2D", name) for name in read), *codes,
-        *lighting_samplers(world)), defines=(*lighting_defines(world), *fog_defines(world), *((name, "1") for name in names)),
+        *lighting_samplers(world)),
+        defines=(*lighting_defines(world), *fog_defines(world), *((name, "1") for name in names)),
     )  # fmt: skip
