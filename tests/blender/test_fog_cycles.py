@@ -92,6 +92,7 @@ def test_volume_shaders_of_worlds_are_fogs():
     node.inputs["Emission Color"].default_value = (0.1, 0.2, 0.3, 1.0)
     world, warnings = world_of(scene)
     assert not warnings
+    assert world.fog is not None
     np.testing.assert_allclose(world.fog.scattering, 0.2 * np.array([0.5, 0.25, 1.0]), rtol=1e-6)
     np.testing.assert_allclose(world.fog.extinction, 0.2 * np.ones(3), rtol=1e-6)
     np.testing.assert_allclose(world.fog.emission, [0.2, 0.4, 0.6], rtol=1e-6)

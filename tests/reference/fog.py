@@ -30,7 +30,7 @@ def airlight(
     far: np.ndarray | float = np.inf,
     visible: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> np.ndarray:
-    """(R, 3) radiance of the fog between the origins of rays (R, 3) and the distances `far`, lit by a lamp without size.
+    """(R, 3) radiance of the fog between the origins of rays (R, 3) and distances `far`, lit by a lamp without size.
 
     `visible` tells of places (..., 3) which of them the lamp sees.
     """

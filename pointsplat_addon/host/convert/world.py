@@ -33,8 +33,7 @@ def from_world(world: bpy.types.World | None) -> tuple[World, list[str]]:
     None is a black world.
     """
     found, warnings = _surface(world)
-    output = None if world is None else _output(world)
-    if output is None or not output.inputs["Volume"].is_linked:
+    if world is None or (output := _output(world)) is None or not output.inputs["Volume"].is_linked:
         return found, warnings
     fog, messages = _fog(world.name, output.inputs["Volume"])
     return replace(found, fog=fog), [*warnings, *messages]

@@ -26,10 +26,11 @@ SPOT = replace(LAMP, kind="SPOT", spot_cos=np.cos(0.5), spot_blend=0.4)
 CAMERAS = {"perspective": camera(near=0.5), "parallel": camera(parallel=4.0, near=0.5)}
 
 
-def draw(*things, fog: Fog = FOG, lights=(), eye: Camera = CAMERAS["perspective"], samples: int = 1, **more):
-    scene = build.scene(*things, lights=lights, **{"world": World(fog=fog), **more})
+def draw(*things, fog: Fog | None = FOG, lights=(), eye: Camera = CAMERAS["perspective"], **more) -> np.ndarray:
+    more.setdefault("world", World(fog=fog))
+    scene = build.scene(*things, lights=lights, **more)
     settings = Settings(technique="VISIBILITY", adaptive_threshold=0.0, filter_size=0.01)
-    request = Request(eye, settings, frozenset({"combined"}), samples)
+    request = Request(eye, settings, frozenset({"combined"}), 1)
     return drawing.opengl().render(without_far_light(scene), request).pixels["combined"].astype(np.float64)
 
 
@@ -85,9 +86,8 @@ def test_a_lamp_lights_surfaces_through_fog():
     wall = build.mesh(meshes.plane_mesh("lit wall in fog", 40.0), "POLYGONS"), moved((0, 3.0, 0))
     thin = replace(FOG, scattering=np.zeros(3))
     eye = CAMERAS["perspective"]
-    seen, clear = (
-        draw(wall, lights=[LAMP], eye=eye, table=table, **more) for more in ({"fog": thin}, {"world": World()})
-    )
+    seen = draw(wall, lights=[LAMP], eye=eye, table=table, fog=thin)
+    clear = draw(wall, lights=[LAMP], eye=eye, table=table, world=World())
     origins, directions = rays(eye)
     far = (3.0 - origins[:, 1]) / directions[:, 1]
     way = np.linalg.norm(origins + far[:, None] * directions - LAMP.position, axis=1)
@@ -106,7 +106,7 @@ def test_what_stands_before_a_lamp_shades_the_fog():
         build.mesh(meshes.flat_mesh("card in fog", corners, np.array([[0, 1, 2], [0, 2, 3]])), "POLYGONS"),
         moved((0, 0, 1)),
     )
-    seen = draw(card, lights=[lamp], eye=eye, table=table, samples=1)
+    seen = draw(card, lights=[lamp], eye=eye, table=table)
 
     def visible(place: np.ndarray) -> np.ndarray:
         toward = lamp.position - place
