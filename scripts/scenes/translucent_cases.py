@@ -65,8 +65,9 @@ def panes() -> Case:
 
 
 def in_fog() -> Case:
-    """A ball of smoke, a cube and a sphere of points in a world of fog, with a lamp between them and a spot above."""
-    lamp = Light("POINT", np.full(3, 3.0), np.array([0.1, -0.5, 0.9]), np.array([0.0, 0, -1]))
+    """A ball of smoke, a cube and a sphere of points in a world of fog, with a lamp and a spot out of view: the fog
+    next to lamps is brighter than any number of samples shows."""
+    lamp = Light("POINT", np.full(3, 9.0), np.array([1.2, -2.5, 1.5]), np.array([0.0, 0, -1]))
     spot = Light(
         "SPOT", np.full(3, 8.0), np.array([-0.8, -0.6, 2.0]), np.array([0.0, 0, -1]), spot_cos=0.8, spot_blend=0.3
     )
