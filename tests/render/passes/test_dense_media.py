@@ -60,8 +60,8 @@ def test_a_slab_that_is_lit_from_the_eye_is_as_bright_as_its_closed_form(across)
     assert abs(seen / truth - 1) < 0.003  # measured 0.00075, 0.00091, 0.00094, 0.0011
 
 
-# By depth: the sun and the eye on one side, at angles of 33 and 19 degrees to it, and both at 45, 90 apart. The middles alone left
-# 0.4, 4.8, 15.1, 27.3 and 0.9, 12.1, 31.8, 49.5 % less.
+# By depth: the sun and the eye on one side, at angles of 33 and 19 degrees to it, and both at 45, 90 apart. The middles
+# alone left 0.4, 4.8, 15.1, 27.3 and 0.9, 12.1, 31.8, 49.5 % less.
 ASLANT = {0.1: (0.006, 0.012), 0.4: (0.04, 0.13), 0.8: (0.11, 0.32), 1.2: (0.18, 0.49)}
 
 
