@@ -4,7 +4,7 @@
 #include "lib/geometry/camera.glsl"
 #include "lib/splat/defocus.glsl"
 #include "lib/light/lights.glsl"
-#include "lib/light/in_fog.glsl"
+#include "lib/fog/in_fog.glsl"
 #include "lib/light/backdrop.glsl"
 #include "lib/geometry/finite.glsl"
 

@@ -5,7 +5,7 @@
 
 #include "lib/geometry/camera.glsl"
 #include "lib/light/lights.glsl"
-#include "lib/light/in_fog.glsl"
+#include "lib/fog/in_fog.glsl"
 #include "lib/light/backdrop.glsl"
 #include "lib/geometry/finite.glsl"
 #ifdef PS_TRAINED

@@ -11,7 +11,7 @@
 #include "lib/geometry/surfel_kind.glsl"
 #include "lib/data/pack.glsl"
 #include "lib/light/lights.glsl"
-#include "lib/light/in_fog.glsl"
+#include "lib/fog/in_fog.glsl"
 #ifdef PS_CATCHER
 #include "lib/captured/lit.glsl"
 #else

@@ -12,7 +12,7 @@
 #include "lib/splat/kernel.glsl"
 #include "lib/data/pack.glsl"
 #include "lib/light/lights.glsl"
-#include "lib/light/in_fog.glsl"
+#include "lib/fog/in_fog.glsl"
 #include "lib/data/materials.glsl"
 #include "lib/geometry/finite.glsl"
 #ifdef PS_DEFOCUS

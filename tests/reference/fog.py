@@ -1,4 +1,4 @@
-"""Float64 twin of shaders/lib/light/airlight.glsl: light that fog scatters once along rays.
+"""Float64 twin of shaders/lib/fog/airlight.glsl: light that fog scatters once along rays.
 
 Along a ray that passes a lamp at a distance h, with t from the nearest place, dt / (h^2 + t^2) = d(atan(t / h)) / h:
 over that angle the integrand is smooth (Kulla and Fajardo 2012; Sun et al. 2005 tabulate the same integral).

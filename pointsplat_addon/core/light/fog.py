@@ -1,4 +1,4 @@
-"""Fog that fills the world: what it leaves of light from infinitely far, and its texels for shaders/lib/light/fog.glsl.
+"""Fog that fills the world: what it leaves of light from infinitely far, and its texels for shaders/lib/fog/fog.glsl.
 
 The same everywhere, it lets nothing through from infinitely far, as in Cycles: neither suns nor the world shine in it,
 and pictures have no open pixels.
@@ -39,7 +39,7 @@ def without_far_light(scene: Scene) -> Scene:
 
 
 def fog_texels(fog: Fog, near: float) -> np.ndarray:
-    """Returns (TEXELS, 4) float32: the layout is that of shaders/lib/light/fog.glsl. near: distance from the eye at
+    """Returns (TEXELS, 4) float32: the layout is that of shaders/lib/fog/fog.glsl. near: distance from the eye at
     which the fog begins."""
     texels = np.zeros((TEXELS, 4), np.float32)
     texels[0] = *fog.extinction, near

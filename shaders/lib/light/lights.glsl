@@ -24,7 +24,7 @@
 #include "lib/light/spot_lights.glsl"
 #include "lib/light/area_irradiance.glsl"
 #include "lib/light/area_lights.glsl"
-#include "lib/light/fog.glsl"
+#include "lib/fog/fog.glsl"
 #include "lib/light/light_loop.glsl"
 #include "lib/light/medium.glsl"
 

@@ -2,7 +2,7 @@
 
 #ifdef PS_FOG
 
-#include "lib/light/airlight.glsl"
+#include "lib/fog/airlight.glsl"
 
 // Where between two places along a ray shadows are looked up, by the pixel (Jimenez 2014); samples of a picture differ.
 float ps_fog_jitter(vec2 at)
