@@ -16,7 +16,7 @@ from ..cache.keys import digest as hashed
 from ..cache.store import Store
 from ..prepare.separation import is_translucent
 from .casting import CastingGeometry, cached_bounding_box, light_key, transmission_digest
-from .light_points import cell_points, grid_shifts, light_shape, views_of_light
+from .light_points import cell_points, grid_shifts, views_of_light
 from .map_views import CastingBoxes, LightViews, MapView, angular_reach, light_views, placed
 
 MOST_PRIMITIVES = 1 << 25  # of all instances of a geometry that maps draw: where there are more, nodes cast into tables
@@ -40,10 +40,15 @@ class ShadowMaps:
     strands: bool = False  # some casters are strands, which cover shares of texels
 
     @property
+    def blocks(self) -> list[MapView]:
+        """All that are drawn, those from all points of a light as one."""
+        found = [view for light in self.lights if light is not None for view in light.views if view is not None]
+        return [view for view in found if self.of_scene is None or view.nested is not None]
+
+    @property
     def views(self) -> list[MapView]:
         """All that are drawn."""
-        found = [view for light in self.lights if light is not None for view in light.views if view is not None]
-        return [each for view in found if self.of_scene is None or view.nested is not None for each in view.each]
+        return [each for view in self.blocks for each in view.each]
 
     @property
     def nested(self) -> bool:
@@ -178,8 +183,7 @@ def make_maps(
 
     Strands among the casters are seen by lights without size alone.
     """
-    solid = [caster for caster in casters if caster.geometry.strands is None]
-    chosen = [light if takes_map(light) and (solid or light_shape(light) is None) else None for light in lights]
+    chosen = [light if takes_map(light) else None for light in lights]
     if not casters or not any(chosen):
         return None
     look = tuple(
@@ -190,16 +194,17 @@ def make_maps(
 
     def make() -> ShadowMaps:
         boxes = casting_boxes(casters, store)
-        without_strands = boxes if len(solid) == len(casters) or not solid else casting_boxes(solid, store)
-        points = _light_points(chosen, solid, without_strands)
+        points = _light_points(chosen, casters, boxes)
         views = [
-            None if light is None else light_views(light, without_strands if count else boxes, resolution, count)
+            None if light is None else light_views(light, boxes, resolution, count)
             for light, count in zip(chosen, points, strict=True)
         ]
         splats = sum(len(c.geometry.cloud) * len(c.matrices) for c in casters if c.geometry.cloud is not None)
         arranged, size = placed(views, min(texture_size, WIDEST_TEXTURE), splats)
         shown = tuple((c.geometry.key, c.matrices) for c in casters)
-        return ShadowMaps(key, tuple(arranged), size, shown, strands=len(solid) < len(casters))
+        return ShadowMaps(
+            key, tuple(arranged), size, shown, strands=any(c.geometry.strands is not None for c in casters)
+        )
 
     found = store.lookup(key, make)
     return found if found.views else None  # where all that casts lies where no light looks

@@ -117,7 +117,8 @@ PsSoftSight ps_soft_sight(PsSoftLight s, vec3 point, float pixel)
   float lifted = texel * (s.oriented ? PS_MAP_BIAS * ps_map_above(cosine) : PS_MAP_BIAS_IN_MEDIA);
   sight.gain = 1.0;
 #ifdef PS_FOOTPRINT
-  lifted += s.oriented ? ps_footprint.rise : 0.0;
+  lifted = s.oriented || ps_footprint.rise == 0.0 ? lifted : texel * PS_MAP_BIAS_OF_STRANDS;
+  lifted += ps_footprint.rise;
   sight.gain = max(PS_MAP_SHARP * pixel / texel, 1.0);
 #endif
   sight.bias = ((s.oriented ? lifted / abs(cosine) : lifted) + s.rounding) * sight.scale * sight.scale;
