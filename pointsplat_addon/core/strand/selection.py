@@ -95,7 +95,7 @@ class _Scale:
     inside: bool  # the whole instance lies in the picture
 
 
-def _scale(bounds: StrandBounds, view_from_object: np.ndarray, camera: Camera, culled: bool) -> _Scale | None:
+def _scale(bounds: StrandBounds, view_from_object: np.ndarray, camera: Camera, culled: bool = True) -> _Scale | None:
     """The range of sizes of an instance with these bounds; None if it lies outside the picture. Where nothing is
     `culled`, everything counts as inside."""
     linear = view_from_object[:3, :3]

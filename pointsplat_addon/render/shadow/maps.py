@@ -23,7 +23,7 @@ MOST_PRIMITIVES = 1 << 25  # of all instances of a geometry that maps draw: wher
 WIDEST_STRAND = 1 / 32  # of the radius of the ball around an instance, on average
 WIDEST_TEXTURE = 8192  # texels
 HEAD_TEXELS, VIEW_TEXELS = 4, 2  # of a light's record, and of each of its views
-SHAPE_TEXELS = 8  # after them: of a light with a size
+SHAPE_TEXELS = 9  # after them: of a light with a size
 NESTED_TEXELS = 6  # of nested maps
 KINDS = ("NONE", "PARALLEL", "SINGLE", "CUBE")
 
@@ -37,7 +37,8 @@ class ShadowMaps:
     size: tuple[int, int]  # of the texture that holds all
     casters: tuple[tuple[str, np.ndarray], ...]  # key of a geometry, (I, 4, 4) its casting instances
     of_scene: ShadowMaps | None = None  # whose texture this one's begins with; what follows are nested maps
-    strands: bool = False  # some casters are strands, which cover shares of texels
+    # (4,) float64: middle and radius, in the world, of a ball around the strands among the casters; None: there are none
+    strands: np.ndarray | None = None
 
     @property
     def blocks(self) -> list[MapView]:
@@ -67,7 +68,8 @@ class ShadowMaps:
         view: where the place (0, 0) lies in the texture, texels from a place to the next one, and the near plane; first
         and last texel. For lights with a size the kind is negative, beside it are how many points are seen from, and
         the row of their places; the views are those of the first point; and what follows them is, from SHAPE on: the
-        half-axes in the light's space, with whether they face receivers, and for each view both half-axes in its plane.
+        half-axes in the light's space, with whether they face receivers, for each view both half-axes in its plane, and
+        the ball around strands in the light's space.
         Behind all that, from NESTED on, two more for each nested map, whose view is the second, third or fourth: the
         places of receivers that look at it, from and to; their depths, and the height at which its views meet.
 
@@ -94,6 +96,8 @@ class ShadowMaps:
                 row[3] = -row[3, 0], cells[0], len(self.lights) + outlines.index(cells), 0
                 row[shape : shape + 2, :3] = light.shape.axes @ light.axes.T
                 row[shape : shape + 2, 3] = light.shape.facing
+                if self.strands is not None:
+                    row[shape + 8] = *(light.axes @ (self.strands[:3] - light.origin)), self.strands[3]
             for i, view in enumerate(light.views):
                 texels = row[HEAD_TEXELS + VIEW_TEXELS * i :]
                 if view is None:
@@ -148,7 +152,7 @@ def casts_into_map(scene: Scene, caster: CastingGeometry) -> bool:
 
 
 def casts_as_strands(caster: CastingGeometry) -> bool:
-    """Tells whether maps of lights without size show a caster: strands, but for those as wide as ropes, which tables
+    """Tells whether maps show a caster: strands, but for those as wide as ropes, which tables
     show as well in less time."""
     strands = caster.geometry.strands
     if strands is None or not len(strands.radius):
@@ -179,10 +183,7 @@ def make_maps(
     store: Store,
     texture_size: int,
 ) -> ShadowMaps | None:
-    """Returns the maps of `lights`, those that take one, of casters that cast into maps; None where there are none.
-
-    Strands among the casters are seen by lights without size alone.
-    """
+    """Returns the maps of `lights`, those that take one, of casters that cast into maps; None where there are none."""
     chosen = [light if takes_map(light) else None for light in lights]
     if not casters or not any(chosen):
         return None
@@ -202,9 +203,7 @@ def make_maps(
         splats = sum(len(c.geometry.cloud) * len(c.matrices) for c in casters if c.geometry.cloud is not None)
         arranged, size = placed(views, min(texture_size, WIDEST_TEXTURE), splats)
         shown = tuple((c.geometry.key, c.matrices) for c in casters)
-        return ShadowMaps(
-            key, tuple(arranged), size, shown, strands=any(c.geometry.strands is not None for c in casters)
-        )
+        return ShadowMaps(key, tuple(arranged), size, shown, strands=ball_around_strands(casters, store))
 
     found = store.lookup(key, make)
     return found if found.views else None  # where all that casts lies where no light looks
@@ -216,6 +215,16 @@ def _light_points(lights: Sequence[Light | None], casters: Sequence[CastingGeome
     spreads = [None if light is None else angular_reach(light, boxes) for light in lights]
     drawn = primitives * sum(spread is not None for spread in spreads)
     return [0 if spread is None else views_of_light(spread, drawn) for spread in spreads]
+
+
+def ball_around_strands(casters: Sequence[CastingGeometry], store: Store) -> np.ndarray | None:
+    """Returns middle and radius, (4,) float64, of a ball that holds all strands, in the world; None if there are none."""
+    fibres = [caster for caster in casters if caster.geometry.strands is not None]
+    if not fibres:
+        return None
+    corners = casting_boxes(fibres, store).corners.reshape(-1, 3)
+    middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    return np.append(middle, np.linalg.norm(corners - middle, axis=1).max())
 
 
 def casting_boxes(casters: Sequence[CastingGeometry], store: Store) -> CastingBoxes:
