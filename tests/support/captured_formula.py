@@ -167,10 +167,12 @@ def far_rows(path: Path) -> Iterator[str]:
             pictures = [shot.drawn(blending, BY_NODES) for blending in BLENDINGS]
             if pictures[0][1] < len(shot.splats):
                 shares.append(pictures[0][1] / len(shot.splats))
-                found.append([
-                    reference.psnr(picture, expected[blending])
-                    for (picture, _), blending in zip(pictures, BLENDINGS, strict=True)
-                ])
+                found.append(
+                    [
+                        reference.psnr(picture, expected[blending])
+                        for (picture, _), blending in zip(pictures, BLENDINGS, strict=True)
+                    ]
+                )
         cells = [f"{value:.1f}" for value in np.min(exact, axis=0)]
         cells += [f"{100 * max(shares):.0f} %", *(f"{value:.1f}" for value in np.min(found, axis=0))] if found else []
         yield f"| {path.name} | {side} | {' | '.join(cells)} |"

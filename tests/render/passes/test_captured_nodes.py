@@ -133,7 +133,7 @@ def test_nodes_stand_for_crowds_of_captures():
         assert len(found.captured) == count
         assert bool(found.captured_nodes) == by_nodes
         if by_nodes:
-            assert count_captured(made, found.captured, found.captured_nodes) < 0.1 * count * COUNT
+            assert count_captured(made, found.captured, found.captured_nodes) < 0.15 * count * COUNT
 
 
 def test_a_near_view_draws_all_splats():
