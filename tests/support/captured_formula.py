@@ -8,8 +8,9 @@ lowest one against the formula whose splats are ordered by depths in float32, as
 still differ by more than LARGE, and in how many of these a splat's alpha in float64 lies so near to 1/255 that rounding
 decides whether it shows; and the lowest PSNR without the latter.
 
---far: smaller and smaller pictures instead, at a tolerance of one pixel and at one that lets nodes draw the second picture
-(notes: "Level of detail"): the lowest PSNR of the three sides, and the largest share of the splats that nodes draw.
+--far: smaller and smaller pictures instead, at a tolerance of one pixel and at one that lets nodes draw the second
+picture (notes: "Level of detail"): the lowest PSNR of the three sides, and the largest share of the splats that nodes
+draw.
 As if not antialiased: of splats that are, the formula leaves out what is too faint one by one, which nodes do not.
 """
 
