@@ -126,7 +126,12 @@ class IndirectLight:
         return found
 
     def gathered(
-        self, position: np.ndarray, normal: np.ndarray, cells: int, mirror: np.ndarray, sharpness: np.ndarray | None = None
+        self,
+        position: np.ndarray,
+        normal: np.ndarray,
+        cells: int,
+        mirror: np.ndarray,
+        sharpness: np.ndarray | None = None,
     ) -> np.ndarray:
         """(N, 8) float32: irradiance over pi and nearness, the mean of inverse distances, at places with normals (N, 3) in the
         tree's space; what lobes around mirrored views (N, 3), so sharp (N,), show of surfaces, and how much of them is open.
@@ -134,7 +139,8 @@ class IndirectLight:
         glossy = sharpness is not None
         rows = coherent_rows(position, normal)
         arrays = (position, normal, mirror, np.ones(len(position), np.float32) if sharpness is None else sharpness)
-        laid = [np.zeros((RECEIVER_WIDTH * -(-(int(rows.max(initial=0)) + 1) // RECEIVER_WIDTH), *x.shape[1:]), np.float32) for x in arrays]
+        texels = RECEIVER_WIDTH * (int(rows.max(initial=0)) // RECEIVER_WIDTH + 1)
+        laid = [np.zeros((texels, *array.shape[1:]), np.float32) for array in arrays]
         for to, of in zip(laid, arrays, strict=True):
             to[rows] = of
         receivers = receiver_texture(self._device, *laid)

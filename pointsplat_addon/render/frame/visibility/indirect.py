@@ -82,7 +82,14 @@ class GroupsInIndirectLight:
         return found
 
     def _interpolate(
-        self, view: SampleView, lists: _Lists, listed: Texture, chosen: Receivers, found: np.ndarray, place: np.ndarray, up: np.ndarray
+        self,
+        view: SampleView,
+        lists: _Lists,
+        listed: Texture,
+        chosen: Receivers,
+        found: np.ndarray,
+        place: np.ndarray,
+        up: np.ndarray,
     ) -> None:
         """Brings what `found` (R, 8) tells of receivers to all groups, at places with normals (N, 4)."""
         device, rows = self._device, chosen.rows
