@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from ...core.indirect.closed import scrambled
 from ...core.indirect.surfels import Surfels
 from ...core.indirect.tree import build_tree
 from ...core.lod.levels import SIDE_AXES
 from ...core.numeric.morton import morton_codes
-from ...core.indirect.closed import scrambled
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
 from ..device.protocol import Device, Texture
@@ -93,8 +93,8 @@ class IndirectLight:
         turned = surfels.normal @ SIDE_AXES.astype(np.float32)
         face = np.abs(turned).argmax(axis=1)
         side = 2 * face + (turned[np.arange(len(face)), face] < 0)
-        # Surfels are the larger the farther off they are, and so are the cells that share a receiver. These are flat, so that
-        # both faces of a wall do not: slabs along the axis that normals are turned to.
+        # Surfels are the larger the farther off they are, and so are the cells that share a receiver. These are
+        # flat, thin along the axis that normals are turned to, so that surfaces behind one another do not share one.
         size = np.sqrt(np.maximum(surfels.area, np.percentile(surfels.area, SMALLEST_SHARE)))
         across = np.exp2(np.ceil(np.log2(size)))[:, None]
         thin = np.where(np.abs(SIDE_AXES.T[face]) > 0.5, THINNER, 1.0)
@@ -133,9 +133,11 @@ class IndirectLight:
         mirror: np.ndarray,
         sharpness: np.ndarray | None = None,
     ) -> np.ndarray:
-        """(N, 8) float32: irradiance over pi and nearness, the mean of inverse distances, at places with normals (N, 3) in the
-        tree's space; what lobes around mirrored views (N, 3), so sharp (N,), show of surfaces, and how much of them is open.
-        Without sharpness (N, 4)."""
+        """Gathers at places with normals (N, 3), in the tree's space: (N, 8) float32, without sharpness (N, 4).
+
+        Irradiance over pi and nearness, the mean of inverse distances; what lobes around mirrored views (N, 3), so
+        sharp (N,), show of surfaces, and how much of them is open.
+        """
         glossy = sharpness is not None
         rows = coherent_rows(position, normal)
         arrays = (position, normal, mirror, np.ones(len(position), np.float32) if sharpness is None else sharpness)
@@ -181,8 +183,8 @@ class IndirectLight:
 
 
 def coherent_rows(position: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """(N,) int64: which row of a texture of receivers each is to be, so that those drawn together, blocks of 4 x 4 texels, lie
-    near each other and are turned alike."""
+    """(N,) int64: which row of a texture of receivers each is to be, so that those that are drawn together, in blocks of
+    4 x 4 texels, lie near each other and are turned alike."""
     if len(position) == 0:
         return np.zeros(0, np.int64)
     octant = ((normal > 0) * np.array([1, 2, 4])).sum(axis=1)

@@ -27,7 +27,7 @@ class Known:
         self._sizes.append((receivers, side, found, valid))
 
     def interpolated(self, rows: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(n, 8) at the groups `rows` (n,), at `pixels` (n, 2), and whether it can be told from what is known, (n,) bool."""
+        """(n, 8) at the groups `rows` (n,), at `pixels` (n, 2), and whether what is known tells it, (n,) bool."""
         sums, total, squares = np.zeros((len(rows), 8)), np.zeros(len(rows)), np.zeros(len(rows))
         bright, bright_squares = np.zeros(len(rows)), np.zeros(len(rows))
         place, normal = self._position[rows], self._normal[rows]

@@ -25,8 +25,8 @@ def choose_receivers(
 ) -> Receivers:
     """Chooses receivers among N groups.
 
-    place, up: (N, 4) as of shaders/indirect/group_points.frag. pixel: (N,), row by row. `side`: of a tile, in pixels. `fewest`: groups of a
-    tile that one stands for; `every`: tiles that have fewer of each kind have the largest one's, too.
+    place, up: (N, 4) as of shaders/indirect/group_points.frag. pixel: (N,), row by row. `side`: of a tile, in pixels.
+    `fewest`: groups that a receiver stands for; `every`: tiles without so many of a kind have one of their largest.
     """
     width, height = view.size
     number = pixel.astype(np.int64)
