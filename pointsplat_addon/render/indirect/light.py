@@ -183,8 +183,8 @@ class IndirectLight:
 
 
 def coherent_rows(position: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """(N,) int64: which row of a texture of receivers each is to be, so that those that are drawn together, in blocks of
-    4 x 4 texels, lie near each other and are turned alike."""
+    """(N,) int64: which row of a texture of receivers each is to be, so that those that are drawn together, in blocks
+    of 4 x 4 texels, lie near each other and are turned alike."""
     if len(position) == 0:
         return np.zeros(0, np.int64)
     octant = ((normal > 0) * np.array([1, 2, 4])).sum(axis=1)

@@ -30,9 +30,9 @@ def inner(pixels: np.ndarray) -> np.ndarray:
 
 
 def test_even_and_slowly_changing_light_is_interpolated():
-    """Even light to the bit of float32; of a ramp of 1 to 1.5 the worst error found is 0.0057."""
+    """Even light exactly; of a ramp of 1 to 1.5 the worst error found is 0.0016."""
     ramp = np.tile(np.linspace(1, 1.5, TILES), TILES)
-    for light, worst in ((np.ones(TILES**2), 1e-6), (ramp, 0.007)):
+    for light, worst in ((np.ones(TILES**2), 1e-6), (ramp, 0.002)):
         made, pixels = known(light, 0.0, UP)
         rows = inner(pixels)
         found, valid = made.interpolated(rows, pixels[rows])
@@ -47,8 +47,8 @@ def test_light_that_changes_fast_is_not():
     assert not made.interpolated(rows, pixels[rows])[1].any()
 
 
-def test_receivers_near_things_speak_for_their_surroundings_only():
-    """Things at a mean distance of 4 pixels: no receiver speaks for what is 1.2 pixels away or more."""
+def test_receivers_near_things_do_not_speak_for_others():
+    """Things at a mean distance of 4 pixels: a receiver speaks for what is within 1.2 pixels."""
     made, pixels = known(np.ones(TILES**2), 0.25, UP)
     rows = inner(pixels)
     assert not made.interpolated(rows, pixels[rows])[1].any()
