@@ -48,7 +48,7 @@ def test_light_that_changes_fast_is_not():
 
 
 def test_receivers_near_things_do_not_speak_for_others():
-    """Things at a mean distance of 4 pixels: a receiver speaks for what is within 1.2 pixels."""
+    """Things at a mean distance of 4 pixels: a receiver speaks for what is within 0.6 pixels."""
     made, pixels = known(np.ones(TILES**2), 0.25, UP)
     rows = inner(pixels)
     assert not made.interpolated(rows, pixels[rows])[1].any()

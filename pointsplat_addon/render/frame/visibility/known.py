@@ -6,7 +6,7 @@ import numpy as np
 
 from .receivers import Receivers
 
-FAR = 0.3  # harmonic mean distances of a receiver, as far as which it speaks for others
+FAR = 0.15  # harmonic mean distances of a receiver, as far as which it speaks for others
 TURNED = 0.1  # 1 - cosine between normals, up to which it does
 OFF = 0.1  # of these distances that others may lie off its plane
 FEWEST = 1.5  # receivers, counted by their weights, from which is interpolated
