@@ -32,6 +32,6 @@ class View:
 
     @property
     def remembers(self) -> bool:
-        """Whether what earlier views have left in the store may decide what is drawn. A final picture is the same to the
-        bit whatever was drawn before it, on this machine or another; one with a budget is not in any case."""
+        """Whether what earlier views have left in the store may decide what is drawn. A final picture is the same,
+        to the bit, whatever was drawn before it, on this machine or another; one with a budget never is."""
         return self.interactive or self.settings.budget != "NONE"

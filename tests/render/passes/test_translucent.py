@@ -338,7 +338,7 @@ def test_tables_are_made_once_for_all_views(interactive):
     renderer, settings = Renderer(device, STORE), Settings(technique="IMAGE_SPACE")
     tables = []
     for eye in ((0, -4, 0), (2, -3, 1)):
-        renderer.render(made, Request(camera(eye), settings, COMBINED, 1, interactive))
+        renderer.render(made, Request(camera(eye), settings, COMBINED, 1, interactive=interactive))
         call = next(c for c in device.calls[::-1] if c.interface.name == "light")
         tables.append(call.textures["ps_shadow_tables"])
     assert tables[0] is tables[1]

@@ -38,7 +38,7 @@ class TranslucentUploads:
         lighting: LightingUploads,
         exact: bool,
     ) -> None:
-        """`exact`: to the bit what this view alone would show; else what an earlier view left, where it is good enough."""
+        """`exact`: what this view alone would show, to the bit; else what an earlier one left, where that will do."""
         self._exact = exact
         self._scope, self._scene, self._plan, self._lighting = scope, scene, plan, lighting
         self._order_key = scope.kept.own_key(Kind.DRAW_ORDER)

@@ -42,8 +42,9 @@ class Uploads:
         captured_shadows: Mapping[int, Shadows | None] | None = None,
         matte_shadows: Shadows | None = None,
     ) -> None:
-        """`motion`: a pass asks how instances move. `exact`: nothing may depend on earlier frames. `captured_shadows`: that captured splats receive, by
-        geometry; `matte_shadows`: that mattes do. DeviceError: a texture is too large, or memory is full."""
+        """`motion`: a pass asks how instances move. `exact`: nothing may depend on earlier frames.
+        `captured_shadows`: that captured splats receive, by geometry; `matte_shadows`: that mattes do.
+        DeviceError: a texture is too large, or memory is full."""
         self.scene, self.camera, self.prepared = scene, camera, prepared
         self._middle = prepared.view_from_object
         self._scope = UploadScope(kept)
