@@ -128,7 +128,14 @@ class Viewport:
         self._drop()
         scene = with_pixel_radii(scene, camera)
         camera = camera.with_coarser_pixels(pixel)
-        request = Request(camera, settings, frozenset({"combined"}), settings.viewport_samples, interactive=True)
+        request = Request(
+            camera,
+            settings,
+            frozenset({"combined"}),
+            settings.viewport_samples,
+            interactive=True,
+            moving=self._coarse,
+        )
         renderer = MAIN_GPU.renderer()
         self._pacing = None
         if self._coarse and settings.budget == "TIME":

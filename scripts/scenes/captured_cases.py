@@ -143,11 +143,11 @@ def captured_matte() -> Case:
 
 
 def captured_far() -> Case:
-    """Three spheres of many splats that are seen from so far away that nodes stand for them."""
+    """Three spheres of many splats that are seen from so far away that nodes stand for them, with such a tolerance."""
     splats = captured("captured far", captured_sphere(40_000))
     eye = camera((0, -40, 0))
     return Case(
         scene((splats, moved()), (splats, moved((3, 0, 0))), (splats, moved((-3, 0, 0))), lights=()),
         eye,
-        Settings(use_shadows=False),
+        Settings(use_shadows=False, tolerance=2.0),
     )

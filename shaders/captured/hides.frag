@@ -2,6 +2,9 @@
 // index is not less than the place is. Texels of ps_span: two places between which half of the light is hidden.
 
 #include "lib/captured/kind.glsl"
+#ifdef PS_NODES
+#include "lib/captured/node.glsl"
+#endif
 #include "lib/captured/span.glsl"
 
 void main()
@@ -11,8 +14,7 @@ void main()
   float alpha = v_source.w * exp(-0.5 * dot(apart, apart));
 #ifdef PS_NODES
   if (ps_is_node(v_conic.w)) {
-    float each = ps_node_opacity(v_conic.w), one = alpha * each / v_source.w;
-    alpha = one >= PS_LEAST_ALPHA ? 1.0 - pow(1.0 - min(one, PS_MOST_ALPHA), v_source.w / each) : 0.0;
+    alpha = ps_node_alpha(alpha, v_source.w, v_conic.w);
   }
 #endif
   if (!(alpha >= PS_LEAST_ALPHA)) {

@@ -73,13 +73,14 @@ void main()
 #ifdef PS_NODES
   // As much is hidden as by the splats for which the node stands, each of which the low-pass widens: the roots of their
   // determinants are those of the mean splat, which is as wide from all sides.
-  vec3 means = texelFetch(ps_means, at, 0).xyz;
-  float hides = opacity * sqrt(before);
+  vec4 means = texelFetch(ps_means, at, 0);
 #ifdef PS_ANTIALIASED
   float kind = PS_NODE_KIND + PS_UNCUT;
-  opacity = hides / sqrt(det);
+  opacity *= sqrt(before / det);
 #else
-  float area = hides / means.x, trace = means.z * pow(abs(determinant(linear)), 0.6666667) * abs(focal.x * focal.y) / 1.5;
+  // The mean area of an ellipsoid's pictures is a quarter of its surface (Cauchy).
+  float pixels = pow(abs(determinant(linear)), 0.6666667) * abs(focal.x * focal.y);
+  float area = means.w * pixels, trace = means.z * pixels / 1.5;
   float widened = sqrt(area * area + PS_LOW_PASS * (trace + PS_LOW_PASS));
   float kind = PS_NODE_KIND + max(means.y, 2.0 * PS_LEAST_ALPHA);
   opacity = means.x * widened / sqrt(det);

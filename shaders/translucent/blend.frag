@@ -5,6 +5,9 @@
 #include "lib/translucent/place.glsl"
 #ifdef PS_CAPTURED
 #include "lib/captured/kind.glsl"
+#ifdef PS_NODES
+#include "lib/captured/node.glsl"
+#endif
 #endif
 
 #ifdef PS_KERNELS
@@ -26,10 +29,8 @@ void main()
   float alpha = v_source.w * exp(-0.5 * dot(apart, apart));
 #endif
 #ifdef PS_NODES
-  // As many splats as their opacities sum up to, at one place: each hides its share of what the others leave.
   if (ps_is_node(v_conic.w)) {
-    float each = ps_node_opacity(v_conic.w), one = alpha * each / v_source.w;
-    alpha = one >= PS_LEAST_ALPHA ? 1.0 - pow(1.0 - min(one, PS_MOST_ALPHA), v_source.w / each) : 0.0;
+    alpha = ps_node_alpha(alpha, v_source.w, v_conic.w);
   }
 #endif
 #ifdef PS_CAPTURED_ALONE

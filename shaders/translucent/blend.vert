@@ -5,6 +5,9 @@
 #include "lib/splat/kernel.glsl"
 #ifdef PS_CAPTURED
 #include "lib/captured/kind.glsl"
+#ifdef PS_NODES
+#include "lib/captured/node.glsl"
+#endif
 #endif
 
 #define PS_LOW_PASS 0.04
@@ -47,7 +50,7 @@ void main()
 #endif
   float faintest = centre.w / PS_LEAST_ALPHA;
 #ifdef PS_NODES
-  faintest = ps_is_node(source.w) ? ps_node_opacity(source.w) / PS_LEAST_ALPHA : faintest;
+  faintest = ps_is_node(source.w) ? ps_faintest(source.w) : faintest;
 #endif
   float rim = sqrt(max(2.0 * log(faintest), 0.0));
   vec2 side = rim * (corner == 0 ? vec2(0.0, 2.0) : vec2(corner == 1 ? -1.7320508 : 1.7320508, -1.0));
@@ -97,7 +100,7 @@ void main()
     v_source.w = centre.w;
     float faintest = centre.w / PS_LEAST_ALPHA;
 #ifdef PS_NODES
-    faintest = ps_is_node(source.w) ? ps_node_opacity(source.w) / PS_LEAST_ALPHA : faintest;
+    faintest = ps_is_node(source.w) ? ps_faintest(source.w) : faintest;
 #endif
     rim = sqrt(max(2.0 * log(faintest), 0.0));
   }

@@ -32,7 +32,9 @@ SPLATS = {
     "splat/donut_inria_fused.ply": 45_624,
     "splat/playcanvas_guitar.compressed.ply": 90_854,
     "splat/playcanvas_biker.spz": 152_746,
+    "splat/pdal_fourth_st.spz": 131_199,
     "splat/playbot_sog/lod-meta.json": 125_000,
+    "splat/minimal/minimal-v4.spz": 4,
     "splat/minimal/minimal.splat": 4,
     "splat/minimal/minimal.ksplat": 4,
 }

@@ -37,13 +37,15 @@ def select(
     camera: Camera,
     tolerance: float,
     lattice: Lattice | None = None,
+    culled: bool = True,
 ) -> Segments:
     """The segments of one instance that a camera may see. view_from_object: (4, 4) float64; instance: its row in
-    Scene.instances; tolerance: pixels; lattice: of sub-samples, if many are drawn at once.
+    Scene.instances; tolerance: pixels; lattice: of sub-samples, if many are drawn at once. culled: without those that
+    lie outside of the picture; else they are for other cameras, too, which look the same way from close by.
 
     Widths of tubes scale with the cube root of the instance's volume; ribbons are scaled as surfaces are.
     """
-    scale = _scale(strands.bounds, view_from_object, camera) if len(strands) else None
+    scale = _scale(strands.bounds, view_from_object, camera, culled) if len(strands) else None
     if scale is None:
         return no_segments()
     if _all_outlined(strands, scale):
@@ -93,33 +95,36 @@ class _Scale:
     inside: bool  # the whole instance lies in the picture
 
 
-def _scale(bounds: StrandBounds, view_from_object: np.ndarray, camera: Camera) -> _Scale | None:
-    """The range of sizes of an instance with these bounds; None if it lies outside the picture."""
+def _scale(bounds: StrandBounds, view_from_object: np.ndarray, camera: Camera, culled: bool = True) -> _Scale | None:
+    """The range of sizes of an instance with these bounds; None if it lies outside the picture. Where nothing is
+    `culled`, everything counts as inside."""
     linear = view_from_object[:3, :3]
     x, y, z = linear @ bounds.center + view_from_object[:3, 3]
     if not (np.isfinite(linear).all() and np.isfinite([x, y, z]).all()):
-        return _Scale(0.0, np.inf, False)
+        return _Scale(0.0, np.inf, not culled)
     scales = np.linalg.svd(linear, compute_uv=False)
     # Radii of tubes are scaled by the geometric mean of the three, which is no greater.
     reach = bounds.radius * float(scales[0])
     nearest, farthest = -z - reach, -z + reach
-    if farthest <= camera.near or nearest >= camera.far:
+    if culled and (farthest <= camera.near or nearest >= camera.far):
         return None
     if camera.perspective and nearest <= camera.near:
-        return _Scale(0.0, np.inf, False)
+        return _Scale(0.0, np.inf, not culled)
     fx, fy, cx, cy = camera.pixel_from_view()
     depths = (nearest, farthest) if camera.perspective else (1.0, 1.0)
     inside = nearest > camera.near and farthest < camera.far
     for middle, f, c, most in ((x, fx, cx, camera.window[2]), (y, fy, cy, camera.window[3])):
         sides = [f * (middle + side) / depth + c for side in (-reach, reach) for depth in depths]
-        if min(sides) > most + MARGIN or max(sides) < -MARGIN:
+        if culled and (min(sides) > most + MARGIN or max(sides) < -MARGIN):
             return None
         inside &= min(sides) >= 0 and max(sides) <= most
     f = float(np.sqrt(abs(fx * fy)))
     # Away from the centre of the picture, perspective stretches segments that lead away from the eye.
     slope = (np.array([x, y]) + reach * np.sign([x, y])) / nearest if camera.perspective else np.zeros(2)
     stretched = float(np.sqrt(1 + slope @ slope))
-    return _Scale(f * float(scales[2]) / depths[1], stretched * f * float(scales[0]) / depths[0], bool(inside))
+    return _Scale(
+        f * float(scales[2]) / depths[1], stretched * f * float(scales[0]) / depths[0], bool(inside) or not culled
+    )
 
 
 def _all_outlined(strands: StrandLevels, scale: _Scale) -> bool:

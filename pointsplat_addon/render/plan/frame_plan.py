@@ -286,6 +286,7 @@ def _prepared(
         request.samples,
         store,
         interactive=request.interactive,
+        moving=request.moving,
         check=clock.check,
         costs=costs,
         node=request.node,

@@ -273,7 +273,7 @@ def _shadows(shadows: Shadows) -> tuple[str, ...]:
         "PS_SHADOW_MAPS": maps is not None,
         "PS_SHADOW_SOFT": maps is not None and maps.soft,
         "PS_SHADOW_NESTED": maps is not None and maps.nested,
-        "PS_SHADOW_STRANDS": maps is not None and maps.strands,
+        "PS_SHADOW_STRANDS": maps is not None and maps.strands is not None,
         "PS_SHADOW_PANES": shadows.panes is not None,
     }
     if shadows.tables is not None:

@@ -20,6 +20,10 @@ MIN_SPLATS = 1 << 15  # fewer are drawn as soon as they are cut
 SPLATS_PER_PIXEL = 100.0
 BUILD_COST = 3  # building costs about as much as drawing the splats this many times, at most
 WORTHWHILE = 0.5  # of the splats: a cut of more is not drawn
+# Pixels of tolerance up to which pictures that stand still show what the formula shows of all splats. Nodes cannot:
+# where a pixel shows hundreds of splats, the first few of these decide what it shows (docs/notes/splats.md).
+EXACT = 1.0
+MANY_SPLATS = 1 << 22  # of all instances, in dense pixels: more would take seconds and gigabytes
 
 
 @record
@@ -64,45 +68,52 @@ def casting_alone(scene: Scene, which: np.ndarray) -> Scene:
 
 
 def captured_nodes(view: View, instances: tuple[int, ...], view_from_object: np.ndarray) -> dict[int, CapturedNodes]:
-    """Returns, by row of geometries, what is drawn by nodes: instances that show many splats in each pixel.
+    """Returns, by row of geometries, what is drawn by nodes: instances that show many splats in each pixel, where
+    pictures are to be quick rather than exact.
 
-    In an interactive view nodes are built on another thread, and all splats are drawn until they are there. In final
-    pictures they are built for some instances at least: building takes as long as drawing all splats one to two and
-    a half times. With a budget they are, too, where they are wanted a second time.
+    In an interactive view nodes are built on another thread, and all splats are drawn until they are there. In other
+    views they are built where they are wanted a second time, or for many instances: building takes as long as
+    drawing all splats one to two and a half times.
     """
-    found: dict[int, CapturedNodes] = {}
-    for row in dict.fromkeys(view.scene.instances.geometry[list(instances)].tolist()):
-        geometry = view.scene.geometries[row]
-        where = [i for i in instances if view.scene.instances.geometry[i] == row]
-        nodes = _nodes_of(view, geometry, where, view_from_object)
-        if nodes is not None:
-            found[row] = nodes
-    return found
+    quick = view.moving or view.settings.tolerance > EXACT
+    splats_of = {i: view.scene.geometries[view.scene.instances.geometry[i]].captured for i in instances}
+    if not quick and sum(len(splats or ()) for splats in splats_of.values()) <= MANY_SPLATS:
+        return {}
+    dense: dict[int, dict[int, np.ndarray]] = {}
+    for i in instances:
+        row = int(view.scene.instances.geometry[i])
+        matrix = _where_dense(view, view.scene.geometries[row], view_from_object[i])
+        if matrix is not None:
+            dense.setdefault(row, {})[i] = matrix
+    if not quick and sum(len(splats_of[i] or ()) for views in dense.values() for i in views) <= MANY_SPLATS:
+        return {}
+    found = {row: _nodes_of(view, view.scene.geometries[row], views) for row, views in dense.items()}
+    return {row: nodes for row, nodes in found.items() if nodes is not None}
 
 
-def _nodes_of(
-    view: View, geometry: Geometry, instances: list[int], view_from_object: np.ndarray
-) -> CapturedNodes | None:
-    splats, store, tolerance = geometry.captured, view.store, view.settings.tolerance
+def _where_dense(view: View, geometry: Geometry, view_from_object: np.ndarray) -> np.ndarray | None:
+    """(4, 4): view from the splats' origin, of an instance that shows many splats in each pixel; None: it does not."""
+    splats = geometry.captured
     assert splats is not None
     if len(splats) < MIN_SPLATS:
         return None
-    largest = store.lookup(Key(Kind.LARGEST_SCALES, geometry.key), lambda: bounds_of_scales(splats))
-    views = {i: view_from_splats(view_from_object[i], splats.origin) for i in instances}
-    dense = {
-        i: matrix
-        for i, matrix in views.items()
-        if splats_a_pixel(splats, largest, matrix, view.camera, tolerance) > SPLATS_PER_PIXEL
-    }
-    if not dense:
-        return None
+    largest = view.store.lookup(Key(Kind.LARGEST_SCALES, geometry.key), lambda: bounds_of_scales(splats))
+    matrix = view_from_splats(view_from_object, splats.origin)
+    many = splats_a_pixel(splats, largest, matrix, view.camera, view.settings.tolerance) > SPLATS_PER_PIXEL
+    return matrix if many else None
+
+
+def _nodes_of(view: View, geometry: Geometry, dense: dict[int, np.ndarray]) -> CapturedNodes | None:
+    """dense: of some instances, (4, 4) float64 that take the splats to the view."""
+    splats, store, tolerance = geometry.captured, view.store, view.settings.tolerance
+    assert splats is not None
     view.check()
     trained = view.settings.captured_blending == "TRAINED"
     key, asked = (Key(kind, geometry.key, other=trained) for kind in (Kind.CAPTURED_TREE, Kind.CAPTURED_TREE_ASKED_FOR))
     if view.interactive and key not in store:
         store.make_later(key, lambda: build_captured_tree(splats, trained))
         return None
-    if len(dense) < BUILD_COST and not (view.remembers and (key in store or asked in store)):
+    if key not in store and asked not in store and len(dense) < BUILD_COST:
         store.lookup(asked, tuple)
         return None
     tree = store.lookup(key, lambda: build_captured_tree(splats, trained))

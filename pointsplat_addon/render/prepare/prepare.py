@@ -70,6 +70,7 @@ def prepare(
     store: Store,
     *,
     interactive: bool = False,
+    moving: bool = False,
     check: Callable[[], None] = lambda: None,
     costs: Costs = DEFAULT,
     node: float = NODE_SIZE,
@@ -78,15 +79,16 @@ def prepare(
     """Chooses, samples and cuts everything that `camera` sees.
 
     `samples`: how often the result will be drawn. `interactive`: it is drawn many times, the first time at once;
-    hierarchies are built on another thread and used once they are ready. `check` is called between geometries, and
-    may raise to stop. `costs`: of drawing on the device. `node`: size of out-of-focus nodes, see core/splat/blur.py.
-    `coarse`: there is no time for one sample at the tolerance that was asked for.
+    hierarchies are built on another thread and used once they are ready. `moving`: and finely once nothing moves.
+    `check` is called between geometries, and may raise to stop. `costs`: of drawing on the device. `node`: size of
+    out-of-focus nodes, see core/splat/blur.py. `coarse`: there is no time for one sample at the tolerance that was
+    asked for.
     """
     with np.errstate(all="ignore"):
         view_from_object = camera.view_from_world @ scene.instances.world_from_object
     usable = drawable_transforms(view_from_object)
     blur = defocus_blur(camera, node) if settings.dof_method == "SPLAT" else None
-    view = View(scene, camera, settings, samples, interactive, store, check, costs, blur, coarse)
+    view = View(scene, camera, settings, samples, interactive, moving, store, check, costs, blur, coarse)
     focus = None
     if blur is not None:
         focus = FocusSorter(scene, camera, blur, min(settings.tolerance, COARSEST_TOLERANCE), store, view_from_object)

@@ -23,6 +23,7 @@ class View:
     settings: Settings
     samples: int  # how often the view will be drawn
     interactive: bool  # it is drawn many times, the first time at once
+    moving: bool  # and finely once nothing moves
     store: Store
     check: Callable[[], None]  # called between geometries; may raise to stop
     costs: Costs  # of drawing on the device

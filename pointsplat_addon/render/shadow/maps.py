@@ -16,14 +16,14 @@ from ..cache.keys import digest as hashed
 from ..cache.store import Store
 from ..prepare.separation import is_translucent
 from .casting import CastingGeometry, cached_bounding_box, light_key, transmission_digest
-from .light_points import cell_points, grid_shifts, light_shape, views_of_light
+from .light_points import cell_points, grid_shifts, views_of_light
 from .map_views import CastingBoxes, LightViews, MapView, angular_reach, light_views, placed
 
 MOST_PRIMITIVES = 1 << 25  # of all instances of a geometry that maps draw: where there are more, nodes cast into tables
 WIDEST_STRAND = 1 / 32  # of the radius of the ball around an instance, on average
 WIDEST_TEXTURE = 8192  # texels
 HEAD_TEXELS, VIEW_TEXELS = 4, 2  # of a light's record, and of each of its views
-SHAPE_TEXELS = 8  # after them: of a light with a size
+SHAPE_TEXELS = 9  # after them: of a light with a size
 NESTED_TEXELS = 6  # of nested maps
 KINDS = ("NONE", "PARALLEL", "SINGLE", "CUBE")
 
@@ -37,13 +37,19 @@ class ShadowMaps:
     size: tuple[int, int]  # of the texture that holds all
     casters: tuple[tuple[str, np.ndarray], ...]  # key of a geometry, (I, 4, 4) its casting instances
     of_scene: ShadowMaps | None = None  # whose texture this one's begins with; what follows are nested maps
-    strands: bool = False  # some casters are strands, which cover shares of texels
+    # (4,) float64: middle and radius, in the world, of a ball around the strands among the casters; None: there are none
+    strands: np.ndarray | None = None
+
+    @property
+    def blocks(self) -> list[MapView]:
+        """All that are drawn, those from all points of a light as one."""
+        found = [view for light in self.lights if light is not None for view in light.views if view is not None]
+        return [view for view in found if self.of_scene is None or view.nested is not None]
 
     @property
     def views(self) -> list[MapView]:
         """All that are drawn."""
-        found = [view for light in self.lights if light is not None for view in light.views if view is not None]
-        return [each for view in found if self.of_scene is None or view.nested is not None for each in view.each]
+        return [each for view in self.blocks for each in view.each]
 
     @property
     def nested(self) -> bool:
@@ -62,7 +68,8 @@ class ShadowMaps:
         view: where the place (0, 0) lies in the texture, texels from a place to the next one, and the near plane; first
         and last texel. For lights with a size the kind is negative, beside it are how many points are seen from, and
         the row of their places; the views are those of the first point; and what follows them is, from SHAPE on: the
-        half-axes in the light's space, with whether they face receivers, and for each view both half-axes in its plane.
+        half-axes in the light's space, with whether they face receivers, for each view both half-axes in its plane, and
+        the ball around strands in the light's space.
         Behind all that, from NESTED on, two more for each nested map, whose view is the second, third or fourth: the
         places of receivers that look at it, from and to; their depths, and the height at which its views meet.
 
@@ -89,6 +96,8 @@ class ShadowMaps:
                 row[3] = -row[3, 0], cells[0], len(self.lights) + outlines.index(cells), 0
                 row[shape : shape + 2, :3] = light.shape.axes @ light.axes.T
                 row[shape : shape + 2, 3] = light.shape.facing
+                if self.strands is not None:
+                    row[shape + 8] = *(light.axes @ (self.strands[:3] - light.origin)), self.strands[3]
             for i, view in enumerate(light.views):
                 texels = row[HEAD_TEXELS + VIEW_TEXELS * i :]
                 if view is None:
@@ -143,7 +152,7 @@ def casts_into_map(scene: Scene, caster: CastingGeometry) -> bool:
 
 
 def casts_as_strands(caster: CastingGeometry) -> bool:
-    """Tells whether maps of lights without size show a caster: strands, but for those as wide as ropes, which tables
+    """Tells whether maps show a caster: strands, but for those as wide as ropes, which tables
     show as well in less time."""
     strands = caster.geometry.strands
     if strands is None or not len(strands.radius):
@@ -174,12 +183,8 @@ def make_maps(
     store: Store,
     texture_size: int,
 ) -> ShadowMaps | None:
-    """Returns the maps of `lights`, those that take one, of casters that cast into maps; None where there are none.
-
-    Strands among the casters are seen by lights without size alone.
-    """
-    solid = [caster for caster in casters if caster.geometry.strands is None]
-    chosen = [light if takes_map(light) and (solid or light_shape(light) is None) else None for light in lights]
+    """Returns the maps of `lights`, those that take one, of casters that cast into maps; None where there are none."""
+    chosen = [light if takes_map(light) else None for light in lights]
     if not casters or not any(chosen):
         return None
     look = tuple(
@@ -190,16 +195,15 @@ def make_maps(
 
     def make() -> ShadowMaps:
         boxes = casting_boxes(casters, store)
-        without_strands = boxes if len(solid) == len(casters) or not solid else casting_boxes(solid, store)
-        points = _light_points(chosen, solid, without_strands)
+        points = _light_points(chosen, casters, boxes)
         views = [
-            None if light is None else light_views(light, without_strands if count else boxes, resolution, count)
+            None if light is None else light_views(light, boxes, resolution, count)
             for light, count in zip(chosen, points, strict=True)
         ]
         splats = sum(len(c.geometry.cloud) * len(c.matrices) for c in casters if c.geometry.cloud is not None)
         arranged, size = placed(views, min(texture_size, WIDEST_TEXTURE), splats)
         shown = tuple((c.geometry.key, c.matrices) for c in casters)
-        return ShadowMaps(key, tuple(arranged), size, shown, strands=len(solid) < len(casters))
+        return ShadowMaps(key, tuple(arranged), size, shown, strands=ball_around_strands(casters, store))
 
     found = store.lookup(key, make)
     return found if found.views else None  # where all that casts lies where no light looks
@@ -211,6 +215,16 @@ def _light_points(lights: Sequence[Light | None], casters: Sequence[CastingGeome
     spreads = [None if light is None else angular_reach(light, boxes) for light in lights]
     drawn = primitives * sum(spread is not None for spread in spreads)
     return [0 if spread is None else views_of_light(spread, drawn) for spread in spreads]
+
+
+def ball_around_strands(casters: Sequence[CastingGeometry], store: Store) -> np.ndarray | None:
+    """Returns middle and radius, (4,) float64, of a ball that holds all strands, in the world; None if there are none."""
+    fibres = [caster for caster in casters if caster.geometry.strands is not None]
+    if not fibres:
+        return None
+    corners = casting_boxes(fibres, store).corners.reshape(-1, 3)
+    middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    return np.append(middle, np.linalg.norm(corners - middle, axis=1).max())
 
 
 def casting_boxes(casters: Sequence[CastingGeometry], store: Store) -> CastingBoxes:

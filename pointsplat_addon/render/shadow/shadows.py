@@ -97,7 +97,7 @@ def make_shadows(
     lights = sorted_by_kind(scene.lights)
     solid = [casts_into_map(scene, caster) for caster in casters]
     # Where sub-samples are not looked at one by one, single texels are noisier than tables.
-    fine = settings.technique == "VISIBILITY" and any(light.shadow and takes_panes(light) for light in lights)
+    fine = settings.technique == "VISIBILITY"
     fibres = [fine and casts_as_strands(caster) for caster in casters]
     drawn = [one or other for one, other in zip(solid, fibres, strict=True)]
     shown = [caster for caster, one, floor in zip(casters, drawn, floors, strict=True) if one and not floor]
@@ -109,11 +109,10 @@ def make_shadows(
     everything = _Cast(casters, floors)
     unmapped = [light for light in lights if light.shadow and not takes_map(light)]
     mapped = [light for light in lights if light.shadow and takes_map(light)]
-    apart = panes is not None or any(fibres)
-    hard = [light for light in mapped if apart and takes_panes(light)]
-    soft = [light for light in mapped if not (apart and takes_panes(light))]
-    neither = [one or (other and panes is not None) for one, other in zip(drawn, clear, strict=True)]
-    wanted = [(unmapped, everything), (soft, everything.without(solid)), (hard, everything.without(neither))]
+    hard = [light for light in mapped if panes is not None and takes_panes(light)]
+    soft = [light for light in mapped if not (panes is not None and takes_panes(light))]
+    neither = [one or other for one, other in zip(drawn, clear, strict=True)]
+    wanted = [(unmapped, everything), (soft, everything.without(drawn)), (hard, everything.without(neither))]
     tables = build.tables(lights, wanted)
     if tables is None and maps is None and panes is None:
         return None, "there is nothing in the shadow of anything"

@@ -60,7 +60,7 @@ PsMember ps_member(inout uvec2 members, vec3 normal)
 #endif
 
 #ifdef PS_SHADOW_NESTED
-#define PS_MAP_NESTED 24  // first texel about nested maps
+#define PS_MAP_NESTED 25  // first texel about nested maps
 
 // Which map of a sun shows the finest what is around a place in its space: 0: that of the scene, or one nested in it.
 int ps_nested_map(int row, vec3 q)

@@ -15,6 +15,7 @@
 #define PS_SOFT_CELLS 8  // that receivers look at which look at few points; and of each,
 #define PS_SOFT_FEW 2  // points, where the light is hidden in part
 #define PS_SOFT_ALIKE 1e-4  // shares of a light that do not matter
+#define PS_SOFT_SPARSE vec2(0.05, 0.45)  // shares that strands hide, see ps_soft_sparse
 #define PS_SOFT_STEEPEST 0.05  // cosine: planes that a point of the light grazes more closely are treated as this one
 
 // A light, the view of it through which the receiver is looked at, and what receives.
@@ -117,7 +118,8 @@ PsSoftSight ps_soft_sight(PsSoftLight s, vec3 point, float pixel)
   float lifted = texel * (s.oriented ? PS_MAP_BIAS * ps_map_above(cosine) : PS_MAP_BIAS_IN_MEDIA);
   sight.gain = 1.0;
 #ifdef PS_FOOTPRINT
-  lifted += s.oriented ? ps_footprint.rise : 0.0;
+  lifted = s.oriented || ps_footprint.rise == 0.0 ? lifted : texel * PS_MAP_BIAS_OF_STRANDS;
+  lifted += ps_footprint.rise;
   sight.gain = max(PS_MAP_SHARP * pixel / texel, 1.0);
 #endif
   sight.bias = ((s.oriented ? lifted / abs(cosine) : lifted) + s.rounding) * sight.scale * sight.scale;
@@ -158,6 +160,22 @@ PsSoftSight ps_soft_cell(inout PsSoftLight s, int light, vec2 middle, vec3 half_
   weight = sight.shown ? ps_soft_weight(s, there) : 0.0;
   return sight;
 }
+
+#ifdef PS_SHADOW_STRANDS
+// How much the first look, at one place of each cell, counts where it finds this share of the light hidden. Of sparse strands
+// it may find none: to look closer only where it found some would count them too little. Elsewhere strands play no part.
+float ps_soft_sparse(PsSoftLight s, int light, vec3 q, float reach, float hidden)
+{
+  vec4 ball = texelFetch(ps_map_lights, ivec2(PS_SOFT_SHAPE + 8, light), 0);
+  // Where the ray to the light's middle passes the ball the closest, and how far apart rays from all of the light are there.
+  float away = s.parallel ? 1.0 : length(q);
+  vec3 ray = s.parallel ? vec3(0.0, 0.0, -1.0) : -q / max(away, 1e-30);
+  float along = clamp(dot(ball.xyz - q, ray), 0.0, s.parallel ? 1e30 : away);
+  float wide = reach * min((along + ball.w) / away, s.parallel ? 1e30 : 1.0);
+  bool passes = distance(ball.xyz, q + along * ray) < ball.w + wide;
+  return passes ? 1.0 - smoothstep(PS_SOFT_SPARSE.x, PS_SOFT_SPARSE.y, hidden) : 0.0;
+}
+#endif
 
 // Share of the light of light `light`, one with a size, that no caster of its maps keeps from a point in view space.
 float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
@@ -263,7 +281,13 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
       total += weight;
     }
   }
+#ifdef PS_SHADOW_STRANDS
+  float reach = 1.5 * max(length(half_u), length(half_v));
+  lit = mixed ? mix(soft / total, lit, ps_soft_sparse(s, light, q, reach, 1.0 - lit)) : lit;
+  return lit;
+#else
   return mixed ? soft / total : lit;
+#endif
 }
 
 #endif

@@ -36,11 +36,15 @@ def covariances(splats):
     return axes @ axes.swapaxes(1, 2)
 
 
-def test_nodes_have_the_moments_of_their_splats():
-    """Mean and covariance weighted by opacity times surface (Kerbl et al. 2024, section 4), and the sum of weights."""
-    tree, own = build_captured_tree(SPLATS), covariances(SPLATS)
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_nodes_have_the_moments_of_their_splats(antialiased):
+    """Mean and covariance, of antialiased splats weighted by opacity times surface (Kerbl et al. 2024, section 4), of
+    others by opacity; and the sum of opacities times surfaces."""
+    splats = replace(SPLATS, antialiased=antialiased)
+    tree, own = build_captured_tree(splats), covariances(splats)
     merged = covariances(tree.nodes)
-    weight = SPLATS.opacity * surface(SPLATS.scale.T.astype(float))
+    area = surface(splats.scale.T.astype(float))
+    weight = splats.opacity * (area if antialiased else 1.0)
     for node in np.linspace(0, len(tree) - 1, 60).astype(int).tolist():
         rows = leaves(tree, *level_of(tree, node))
         w = weight[rows] / weight[rows].sum()
@@ -51,7 +55,7 @@ def test_nodes_have_the_moments_of_their_splats():
         assert np.abs(tree.nodes.position[node] - mean).max() < 1e-6  # measured 6e-8
         assert np.abs(merged[node] - covariance).max() < 1e-5 * size**2  # measured 8e-7
         total = tree.nodes.opacity[node] * surface(tree.nodes.scale[node : node + 1].T.astype(float))[0]
-        assert total == pytest.approx(weight[rows].sum(), rel=1e-4)
+        assert total == pytest.approx(splats.opacity[rows] @ area[rows], rel=1e-4)
         assert SPLATS.sh is not None
         assert tree.nodes.sh is not None
         sh = np.einsum("n,nkc->kc", w, SPLATS.sh[rows])
@@ -60,6 +64,7 @@ def test_nodes_have_the_moments_of_their_splats():
         assert tree.means[node, 0] == pytest.approx(o.sum(), rel=1e-4)
         assert tree.means[node, 1] == pytest.approx(o @ o / o.sum(), rel=1e-4)
         assert tree.means[node, 2] == pytest.approx(o @ np.trace(own[rows], axis1=1, axis2=2) / o.sum(), rel=1e-4)
+        assert tree.means[node, 3] == pytest.approx(o @ area[rows] / o.sum(), rel=1e-4)
 
 
 def test_colours_are_averaged_in_linear_light():
@@ -80,7 +85,7 @@ def test_colours_for_blending_display_values_are_averaged_in_these():
     plain, tree = (build_captured_tree(SPLATS, trained) for trained in (False, True))
     for name in ("position", "scale", "rotation", "base", "opacity", "sh"):
         np.testing.assert_array_equal(getattr(plain.nodes, name), getattr(tree.nodes, name))
-    weight = SPLATS.opacity * surface(SPLATS.scale.T.astype(float))
+    weight = SPLATS.opacity.astype(float)
     display = np.maximum(0.28209479177387814 * SPLATS.base.astype(float) + 0.5, 0)
     assert tree.trained_base is not None
     for node in np.linspace(0, len(tree) - 1, 60).astype(int).tolist():

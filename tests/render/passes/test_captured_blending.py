@@ -23,10 +23,11 @@ TABLE = build.materials(base_color=np.zeros((1, 3)), specular=[0], emission=np.a
 LINEAR = "Captured splats are blended in linear light, not as trained: "
 
 
-def drawn(*things, eye=EYE, samples=1, trained=True, renderer=None, **more):
+def drawn(*things, eye=EYE, samples=1, trained=True, renderer=None, tolerance=1.0, **more):
     """Combined (H, W, 4) float64, and the report."""
     made = build.scene(*things, lights=(), table=TABLE, **{"world": World(WORLD), "transparent": True, **more})
-    table = Settings(use_shadows=False, captured_blending="TRAINED" if trained else "LINEAR")
+    blending = "TRAINED" if trained else "LINEAR"
+    table = Settings(use_shadows=False, captured_blending=blending, tolerance=tolerance)
     request = Request(eye, table, frozenset({"combined"}), samples)
     result = (renderer or drawing.opengl()).render(made, request)
     return result.pixels["combined"].astype(np.float64), result.report
@@ -89,7 +90,7 @@ def test_nodes_are_blended_in_display_values():
     splats, renderer = captured_sphere(40_000), drawing.opengl()
     eye = camera((0, -3, 0.4), resolution=(14, 14), field_of_view=45)
     thing = captured("trained far sphere", splats), moved()
-    _, (found, report) = (drawn(thing, eye=eye, renderer=renderer) for _ in range(2))
+    _, (found, report) = (drawn(thing, eye=eye, renderer=renderer, tolerance=1.01) for _ in range(2))
     assert report["points"]["cut"] < 0.15 * len(splats)
     shown = reference.picture([(splats, moved())], eye, trained=True)
     assert reference.psnr(found, reference.linear_over(shown)) > 45  # measured 48.4

@@ -2,9 +2,10 @@
 
 Splats are stored in the cells of an octree, each at the finest level whose cells are not smaller than it is. The node
 of a cell merges the splats that are stored there and in all cells below: where a cell is smaller than a pixel, so is
-all that its node stands for. A node is a Gaussian with the mean and the covariance of its splats, weighted by opacity
-times the surface of the ellipsoid; its opacity is the sum of the weights over its own surface, and may exceed 1. What
-the low-pass of a view makes of its splats follows from means over these (shaders/captured/project.frag).
+all that its node stands for. A node is a Gaussian with the mean and the covariance of its splats, weighted by what they
+hide in a view that draws it. Of antialiased splats that is opacity times the surface of the ellipsoid, as published.
+The low-pass of others makes all that are smaller than a pixel equally wide: opacity alone. What a view's low-pass makes
+of a node's splats follows from means over these (shaders/captured/project.frag).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ WIDTH = 2.0  # standard deviations along a splat's longest axis that the edge of
 BATCH = 1 << 14  # splats that are merged together, so that their working arrays stay in the cache
 KNUD_THOMSEN = 1.6075  # exponent of his approximation to an ellipsoid's surface, within 1.1 %
 DEGREE_0 = 0.28209479177387814
-ROWS = 16  # of what is merged: `_rows`
+ROWS = 17  # of what is merged: `_rows`
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
@@ -37,8 +38,8 @@ class CapturedTree:
     """
 
     nodes: CapturedSplats  # M, of all levels; opacities may exceed 1
-    # (M, 3) float32, of the splats of each node: the sum of their opacities; and weighted by these, the mean opacity
-    # and the mean trace of the covariances.
+    # (M, 4) float32, of the splats of each node: the sum of their opacities; and weighted by these, the mean opacity,
+    # the mean trace of the covariances and the mean surface (`surface`).
     means: np.ndarray
     start: np.ndarray  # (L + 1,) int64: the first node of each level
     edge: np.ndarray  # (L,) float64: length of the cells' edges
@@ -92,7 +93,7 @@ def build_captured_tree(splats: CapturedSplats, trained: bool = False) -> Captur
         levels.reverse()
     start = offsets([level.rows.shape[1] for level in merged])
     means = [
-        np.stack([level.rows[0] * level.rows[13], *(level.rows[14:16] / level.rows[13])], axis=1) for level in merged
+        np.stack([level.rows[0] * level.rows[13], *(level.rows[14:17] / level.rows[13])], axis=1) for level in merged
     ]
     return CapturedTree(
         _nodes(merged, splats),
@@ -202,12 +203,13 @@ def _higher(splats: CapturedSplats, which: np.ndarray) -> np.ndarray:
 
 def _rows(splats: CapturedSplats, which: np.ndarray, trained: bool) -> np.ndarray:
     """(R, n) float64 of some splats: weight; mean (3); covariance (6), xx, xy, xz, yy, yz, zz; linear colour of
-    degree 0 (3); 1 over the surface; opacity and trace of the covariance, both over the
-    surface. `trained`: and its display values (3)."""
+    degree 0 (3); opacity over the weight; and times that, opacity, trace of the covariance and surface. `trained`: and
+    its display values (3)."""
     scale = splats.scale[which].T.astype(np.float64)
     area = surface(scale)
+    counts = area if splats.antialiased else np.ones_like(area)
     rows = np.empty((ROWS + 3 * trained, len(which)))
-    np.maximum(splats.opacity[which] * area, 1e-300, out=rows[0])
+    np.maximum(splats.opacity[which] * counts, 1e-300, out=rows[0])
     rows[1:4] = splats.position[which].T
     axes = rotation_matrices(splats.rotation[which].T.astype(np.float64)) * scale
     for at, (i, j) in enumerate(PAIRS, 4):
@@ -215,9 +217,10 @@ def _rows(splats: CapturedSplats, which: np.ndarray, trained: bool) -> np.ndarra
     display = np.maximum(DEGREE_0 * splats.base[which].T + 0.5, 0)
     rows[10:13] = linear_from_display(display)
     rows[ROWS:] = display[: 3 * trained]
-    rows[13] = 1 / np.maximum(area, 1e-30)
+    rows[13] = 1 / np.maximum(counts, 1e-30)
     rows[14] = splats.opacity[which] * rows[13]
     rows[15] = (rows[4] + rows[7] + rows[9]) * rows[13]
+    rows[16] = area * rows[13]
     return rows
 
 
@@ -267,7 +270,7 @@ def _nodes(merged: list[_Merged], splats: CapturedSplats) -> CapturedSplats:
         scales = np.sqrt(np.maximum(variance, 0))
         scale[block], rotation[block] = scales, _quaternions(axes)
         base[block] = ((display_from_linear(some[10:13]) - 0.5) / DEGREE_0).T
-        opacity[block] = some[0] / np.maximum(surface(scales.T), 1e-300)
+        opacity[block] = some[0] * some[16] / np.maximum(surface(scales.T), 1e-300)
 
     each_block(count, fill, BATCH)
     sh = None if splats.sh is None else np.concatenate([level.sh for level in merged]).reshape(-1, *splats.sh.shape[1:])

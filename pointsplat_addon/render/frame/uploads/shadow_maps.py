@@ -18,7 +18,7 @@ from ....core.strand.selection import select
 from ...cache.device_cache import DeviceCache
 from ...cache.keys import Key, Kind
 from ...cache.store import Store
-from ...device.protocol import Device, Texture
+from ...device.protocol import Device, Target, Texture
 from ...passes.pages.point_page import PointOptions
 from ...passes.shadow.keep_depths import keep_depths
 from ...passes.strands.strand_ids import cover_depths
@@ -29,7 +29,7 @@ from ...passes.visibility.splat_ids import SplatDepths
 from ...plan.plan import Plan
 from ...prepare.point_sets import Layer, PointSet, coherent_with_foliage, point_counts
 from ...prepare.prepare import Prepared
-from ...shadow.casting import cached_strands
+from ...shadow.casting import cached_bounding_box, cached_strands
 from ...shadow.map_views import MapView
 from ...shadow.maps import ShadowMaps
 from ..visibility.polygon_draws import polygon_draws
@@ -48,6 +48,8 @@ class CasterUploads:
 
     def __init__(self, kept: DeviceCache, store: Store, scene: Scene, plan: Plan, maps: ShadowMaps) -> None:
         self._scope = UploadScope(kept)
+        self._of_block = UploadScope(kept)
+        self._strands: StrandUploads | None = None  # of the block that is drawn
         self.scene = _scene_of_casters(scene, maps)
         self._store = store
         self.prepared = _all_of(self.scene, store)
@@ -90,35 +92,52 @@ class CasterUploads:
         self._scope.release_view()
         camera = view.camera
         matrices = camera.view_from_world @ self.scene.instances.world_from_object
-        clip = camera.clip_from_view @ camera.view_from_world
-        place = self._corners @ clip[:, :3].T + clip[:, 3]
-        outside = np.concatenate([place[..., :3] > place[..., 3:], place[..., :3] < -place[..., 3:]], axis=2)
-        polygons = self._all_polygons[~outside.all(axis=1).any(axis=1)]
+        polygons = self._all_polygons[_may_show(camera, self._corners)]
         self.prepared = replace(self.prepared, view_from_object=matrices, polygons=polygons)
         self.points.upload_view(self.prepared)
 
-    def look_at_strands(self, view: SampleView) -> StrandUploads:
-        """Uploads what the view that is looked from shows of strands."""
-        prepared = replace(self.prepared, strands=self._segments(self.prepared.view_from_object, view.camera))
-        strands = StrandUploads(self._scope, self._store, self.scene, prepared, self.plan, for_view=True)
-        strands.upload_view(prepared)
-        return strands
+    def choose_strands(self, block: MapView) -> None:
+        """Uploads the segments of strands that a view shows; those from points of a light show the same ones, chosen
+        from its middle."""
+        self._of_block.release_view()
+        instances = self.scene.instances
+        shown = np.zeros(len(instances), bool)
+        for row, geometry in enumerate(self.scene.geometries):
+            if geometry.strands is not None:
+                here = np.flatnonzero(instances.geometry == row)
+                low, high = cached_bounding_box(geometry, self._store)
+                matrices = instances.world_from_object[here]
+                corners = box_corners(low, high) @ matrices[:, :3, :3].transpose(0, 2, 1) + matrices[:, None, :3, 3]
+                shown[here] = np.any([_may_show(view.camera, corners) for view in block.each], axis=0)
+        prepared = replace(self.prepared, strands=self._segments(block, shown))
+        self._strands = StrandUploads(self._of_block, self._store, self.scene, prepared, self.plan, for_view=True)
+        self._chosen = prepared
 
-    def _segments(self, view_from_object: np.ndarray, camera: Camera) -> dict[int, Segments]:
-        """Returns the segments of strands that a view draws, by geometry row."""
+    def look_at_strands(self) -> StrandUploads:
+        """Uploads their transforms for the view that is looked from."""
+        assert self._strands is not None
+        self._strands.upload_view(replace(self._chosen, view_from_object=self.prepared.view_from_object))
+        return self._strands
+
+    def _segments(self, block: MapView, shown: np.ndarray) -> dict[int, Segments]:
+        """Returns the segments of strands that a view draws, by geometry row. shown: (I,) bool, instances."""
         found: dict[int, Segments] = {}
-        of_each = self.scene.instances.of_each(len(self.scene.geometries))
-        for row, (geometry, where) in enumerate(zip(self.scene.geometries, of_each, strict=True)):
+        camera, culled, instances = block.camera, block.points is None, self.scene.instances
+        for row, geometry in enumerate(self.scene.geometries):
             if geometry.strands is None:
                 continue
             levels = cached_strands(geometry, self._store)
-            parts = [select(levels, view_from_object[i], i, camera, TOLERANCE, ONE_EACH) for i in where.tolist()]
+            here = np.flatnonzero(shown & (instances.geometry == row))
+            matrices = camera.view_from_world @ instances.world_from_object[here]
+            looks = zip(matrices, here.tolist(), strict=True)
+            parts = [select(levels, look, i, camera, TOLERANCE, ONE_EACH, culled) for look, i in looks]
             parts = [part for part in parts if len(part)]
             if parts:
                 found[row] = concatenate_segments(parts)
         return found
 
     def release(self) -> None:
+        self._of_block.release()
         self._scope.release()
 
 
@@ -134,7 +153,7 @@ def draw_maps(device: Device, maps: ShadowMaps, casters: CasterUploads, of_scene
         if splats is not None:
             temporary.callback(splats.release)
         if maps.size == depths.size and of_scene is None:
-            _draw_view(device, maps.views[0], casters, depths, splats)
+            _draw_block(device, maps.blocks[0], casters, depths, splats, None)
             unfinished.pop_all()
             return depths.depths
         texture = device.texture(maps.size, "R32UI")
@@ -143,26 +162,41 @@ def draw_maps(device: Device, maps: ShadowMaps, casters: CasterUploads, of_scene
         temporary.callback(target.release)
         if of_scene is not None:
             keep_depths(device, of_scene, (0, 0), of_scene.size, target)
-        for view in maps.views:
-            _draw_view(device, view, casters, depths, splats)
-            keep_depths(device, depths.depths, view.corner, view.size, target)
+        for block in maps.blocks:
+            _draw_block(device, block, casters, depths, splats, target)
         unfinished.pop_all()
         depths.depths.release()
     return texture
 
 
-def _draw_view(
-    device: Device, view: MapView, casters: CasterUploads, depths: DepthBuffer, splats: SplatDepths | None
+def _draw_block(
+    device: Device,
+    block: MapView,
+    casters: CasterUploads,
+    depths: DepthBuffer,
+    splats: SplatDepths | None,
+    target: Target | None,
 ) -> None:
-    seen = view_of(view.camera)
+    """Draws a view, or those from all points of a light, each into its place of a target if there is one."""
+    if casters.plan.lines:
+        casters.choose_strands(block)
+    for number, view in enumerate(block.each):
+        _draw_view(device, view_of(view.camera, sample=number), casters, depths, splats)
+        if target is not None:
+            keep_depths(device, depths.depths, view.corner, view.size, target)
+
+
+def _draw_view(
+    device: Device, seen: SampleView, casters: CasterUploads, depths: DepthBuffer, splats: SplatDepths | None
+) -> None:
     casters.look_from(seen)
     depths.clear()
     shared = casters.points.instances
     # Compute shaders compare with what the rasteriser has drawn.
     if splats is not None:
         splats.rasterise(casters.points.draws, seen, shared)
-    if casters.plan.lines and view.across is None:  # lights with a size have strands in their tables
-        strands = casters.look_at_strands(seen)
+    if casters.plan.lines:
+        strands = casters.look_at_strands()
         cover_depths(device, strands.draws, depths, seen, strands.instances)
     if casters.plan.polygons:
         polygons = PolygonDepths(device, polygon_draws(device, casters, seen, 0, depths.cells), depths)
@@ -173,6 +207,14 @@ def _draw_view(
             polygons.release()
     if splats is not None:
         splats.cover(casters.points.draws, seen, shared)
+
+
+def _may_show(camera: Camera, corners: np.ndarray) -> np.ndarray:
+    """Returns which boxes, (N, 8, 3) float64 in the world, a camera may show, (N,) bool."""
+    clip = camera.clip_from_view @ camera.view_from_world
+    place = corners @ clip[:, :3].T + clip[:, 3]
+    outside = np.concatenate([place[..., :3] > place[..., 3:], place[..., :3] < -place[..., 3:]], axis=2)
+    return ~outside.all(axis=1).any(axis=1)
 
 
 def _splats(device: Device, maps: ShadowMaps, casters: CasterUploads, depths: DepthBuffer) -> SplatDepths:

@@ -30,7 +30,7 @@ class CapturedPage:
         means: np.ndarray | None = None,
         normals: np.ndarray | None = None,
     ) -> None:
-        """means: (N, 3) float32, of nodes (core.lod.captured.tree). normals: (N, 3) float32, or None where light does
+        """means: (N, 4) float32, of nodes (core.lod.captured.tree). normals: (N, 3) float32, or None where light does
         not change them. DeviceError: textures do not hold all splats."""
         self.count = len(splats)
         self.sh_texels = sh_texels(splats)

@@ -175,7 +175,8 @@ def _kind_defines(ribbon: bool, kind: str) -> tuple[tuple[str, str], ...]:
 def cover_depths(
     device: Device, draws: list[StrandDraw], depths: DepthBuffer, view: SampleView, shared: dict[str, Texture]
 ) -> None:
-    """Draws the depths of all segments, nearer than what is there."""
+    """Draws the depths of all segments, nearer than what is there. Which cells thin ones cover is the sample's."""
+    turn = _reversed_bits(view.sample)
     for draw in draws:
         for kind, (_, count) in draw.lists().items():
             named = StrandKind(draw, kind, 0)
@@ -184,7 +185,7 @@ def cover_depths(
                 device.draw(
                     program,
                     depths.target,
-                    uniforms=view.record_of(program.block, first=first, cell_offset=(0, 0), turn=0, **depths.values),
+                    uniforms=view.record_of(program.block, first=first, cell_offset=(0, 0), turn=turn, **depths.values),
                     textures={**shared, **named.textures},
                     vertices=(2 if kind == "THIN" else 6) * min(CHUNK, count - first),
                     primitive="LINES" if kind == "THIN" else "TRIANGLES",
