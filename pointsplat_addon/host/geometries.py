@@ -15,8 +15,9 @@ from ..core.scene import scene
 from ..core.scene.cloud import PointCloud
 from ..core.scene.materials import MaterialTable
 from ..core.scene.scene import StreamedScan
-from ..core.scene.volume import Medium
+from ..core.scene.volume import Medium, Volume
 from ..core.surface.neighbourhoods.estimate import Ellipses
+from ..core.volume.filling import Filling, fill_mesh
 from ..stream.scan import scan_at
 from .convert.arrays import digest
 from .convert.captured import is_captured, read_captured
@@ -88,6 +89,8 @@ class Geometries:
                     geometry = last.geometry
                 elif source.smoke or isinstance(source.data, bpy.types.Volume):
                     geometry, voxels, warnings = self._convert_volume(source, rows[0], table)
+                elif source.filled:
+                    geometry, warnings = self._convert_filled(source, rows, table)
                 elif source.strands:
                     geometry, strands, warnings = self._convert_strands(source, rows, table)
                 else:
@@ -206,6 +209,32 @@ class Geometries:
         made = scene.Geometry(key, source.name, strands=found.strands, primitive="LINES")
         return self._cache.lookup(key, lambda: made), found, warnings
 
+    def _convert_filled(
+        self, source: Source, rows: tuple[int, ...], table: MaterialTable
+    ) -> tuple[scene.Geometry | None, tuple[str, ...]]:
+        """The geometry of what fills a mesh, and warnings. rows: of its medium, then of the mesh's materials."""
+        if _hides_inside(rows[1:], table):
+            return None, ()
+        material = sample_material(table, rows[0])
+        mesh = _read_evaluated(source, rows, frozenset(), material, self._cache.lookup)
+        if not isinstance(mesh, mesh_module.Mesh) or _medium(table, rows[0]) is None:
+            return None, ()
+        scale = np.array(source.filled)
+        key = f"{mesh.key} filled {source.filled} {source.spacing:g}"
+        edge = source.spacing * float(np.cbrt(scale.prod()))
+        made: Filling = self._cache.lookup(key, lambda: fill_mesh(mesh.position, mesh.triangles, scale, edge))
+        if len(made.index) == 0:
+            return None, (f"{source.name}: a mesh without an inside cannot be filled",)
+        warnings = () if made.closed else (f"{source.name}: its volume has gaps, because the mesh is not closed",)
+        volume = Volume(
+            key, source.name, made.index, made.object_from_index, {}, rows[0],
+            share=made.share, scale=float(np.cbrt(scale.prod())),
+        )  # fmt: skip
+        found = scene.Geometry(
+            f"{key} {rows[0]} {source.extinction:g}", source.name, volume=volume, extinction=source.extinction
+        )
+        return self._cache.lookup(found.key, lambda: found), warnings
+
     def _convert_volume(
         self, source: Source, row: int, table: MaterialTable
     ) -> tuple[scene.Geometry | None, Voxels, tuple[str, ...]]:
@@ -231,8 +260,10 @@ def _source_key(source: Source, rows: tuple[int, ...], table: MaterialTable) -> 
     digests = tuple(graph.digest if (graph := _graph(table, row)) else "" for row in rows)
     settings = source.primitive, source.spacing, source.extinction, source.shape
     settings = *settings, source.pixel_radius, source.filters, source.clip, source.motion
-    settings = *settings, source.antialiased, source.lighting, source.scan
+    settings = *settings, source.antialiased, source.lighting, source.scan, source.filled
     key = (source.data.session_uid, rows, digests, *settings)
+    if source.filled:
+        key = (*key, _hides_inside(rows[1:], table))
     if source.smoke:
         key = (*key, source.smoke.key)
     if isinstance(source.data, bpy.types.Volume):
@@ -248,6 +279,11 @@ def _source_key(source: Source, rows: tuple[int, ...], table: MaterialTable) -> 
         names = source.data.original.session_uid, source.owner, source.hair and source.hair.modifier.name
         key = (*key, *names, looks, source.ribbons)
     return key
+
+
+def _hides_inside(rows: tuple[int, ...], table: MaterialTable) -> bool:
+    """Whether all surfaces of a mesh with these materials are opaque."""
+    return table.translucent is None or not table.translucent[list(rows)].any()
 
 
 def _medium(table: MaterialTable, row: int) -> Medium | None:

@@ -8,6 +8,7 @@ from functools import lru_cache
 import bpy
 import numpy as np
 
+from ..core.light.fog import without_far_light
 from ..core.numeric.cryptomatte import cryptomatte_hash
 from ..core.scene import scene
 from ..core.scene.materials import MaterialTable
@@ -56,22 +57,24 @@ class Synchronizer:
         evaluated = depsgraph.scene_eval
         mist_world = getattr(depsgraph.view_layer_eval, "world_override", None) or evaluated.world
         mist = mist_world.mist_settings if mist_world else None
-        return scene.Scene(
-            geometries=geometries,
-            instances=instances,
-            materials=table,
-            lights=tuple(lights),
-            world=world,
-            transparent=evaluated.render.film_transparent,
-            mist=Mist(mist.start, mist.depth, mist.falloff) if mist else Mist(),
-            warnings=(
-                *_unsupported(collected.unsupported | self._meshes_with_volumes(collected.sources, table)),
-                *self._translucent_polygons(collected.sources, table),
-                *self._geometries.warnings(),
-                *self._material_warnings,
-                *light_warnings,
-                *world_warnings,
-            ),
+        return without_far_light(
+            scene.Scene(
+                geometries=geometries,
+                instances=instances,
+                materials=table,
+                lights=tuple(lights),
+                world=world,
+                transparent=evaluated.render.film_transparent,
+                mist=Mist(mist.start, mist.depth, mist.falloff) if mist else Mist(),
+                warnings=(
+                    *_unsupported(collected.unsupported),
+                    *self._translucent_polygons(collected.sources, table),
+                    *self._geometries.warnings(),
+                    *self._material_warnings,
+                    *light_warnings,
+                    *world_warnings,
+                ),
+            )
         )
 
     def forget(self) -> None:
@@ -101,16 +104,6 @@ class Synchronizer:
             self._materials, self._material_warnings = table, tuple(warnings)
         return self._materials
 
-    def _meshes_with_volumes(self, sources: Iterable[Source], table: MaterialTable) -> dict[str, list[str]]:
-        """Names of meshes whose materials have a medium, as a kind of objects that is not supported."""
-        names = [
-            source.name
-            for source in sources
-            if isinstance(source.data, bpy.types.Mesh) and not source.particles and not source.smoke and not source.hair
-            if any(table.media[row] for m in source.materials if (row := self._cache.row(m)) < len(table.media))
-        ]
-        return {"volumes within meshes": names} if names else {}
-
     def _translucent_polygons(self, sources: Iterable[Source], table: MaterialTable) -> list[str]:
         """A warning that names meshes whose primitive is Polygons although their materials are translucent."""
         if table.translucent is None:
@@ -119,7 +112,8 @@ class Synchronizer:
             source.name
             for source in sources
             if source.primitive == "POLYGONS" and isinstance(source.data, bpy.types.Mesh) and not source.particles
-            and not source.hair and any(table.translucent[self._cache.row(m)] for m in source.materials)
+            and not source.hair and not source.filled
+            and any(table.translucent[self._cache.row(m)] for m in source.materials)
         })  # fmt: skip
         if not names:
             return []

@@ -37,7 +37,7 @@ from scripts.scenes.solid_cases import (
     unlit,
     wide_balls,
 )
-from scripts.scenes.translucent_cases import in_smoke, panes, smoke, tinted_smoke
+from scripts.scenes.translucent_cases import in_fog, in_smoke, panes, smoke, tinted_smoke
 
 CASES: dict[str, Callable[[], Case]] = {
     function.__name__: cache(function)
@@ -77,6 +77,7 @@ CASES: dict[str, Callable[[], Case]] = {
         captured_lit,
         captured_matte,
         captured_trained,
+        in_fog,
         in_smoke,
         foliage,
         many_towers,

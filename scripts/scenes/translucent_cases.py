@@ -8,6 +8,7 @@ import numpy as np
 
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import Fog, World
 from scripts.scenes.build import materials, mesh, moved, points, scene, sun
 from scripts.scenes.cameras import camera
 from scripts.scenes.case import Case
@@ -59,6 +60,27 @@ def panes() -> Case:
             table=table,
         ),
         camera((0.5, -4, 0.5)),
+        Settings(technique="IMAGE_SPACE", shadow_resolution=64),
+    )
+
+
+def in_fog() -> Case:
+    """A ball of smoke, a cube and a sphere of points in a world of fog, with a lamp and a spot out of view: the fog
+    next to lamps is brighter than any number of samples shows."""
+    lamp = Light("POINT", np.full(3, 9.0), np.array([1.2, -2.5, 1.5]), np.array([0.0, 0, -1]))
+    spot = Light(
+        "SPOT", np.full(3, 8.0), np.array([-0.8, -0.6, 2.0]), np.array([0.0, 0, -1]), spot_cos=0.8, spot_blend=0.3
+    )
+    fog = Fog(np.array([0.2, 0.25, 0.3]), np.array([0.15, 0.2, 0.2]), anisotropy=0.4)
+    return Case(
+        scene(
+            (points("smoke in fog", smoke_cloud()), moved((0, 0, -0.2), 0.5)),
+            (mesh(cube_mesh("cube in fog", 0.5), "POLYGONS"), moved((0.8, 0, 0))),
+            (points("sphere in fog", sphere_cloud(200)), moved((-0.8, 0, 0), 0.5)),
+            lights=(lamp, spot),
+            world=World(fog=fog),
+        ),
+        camera(),
         Settings(technique="IMAGE_SPACE", shadow_resolution=64),
     )
 

@@ -4,6 +4,7 @@
 #include "lib/geometry/camera.glsl"
 #include "lib/splat/defocus.glsl"
 #include "lib/light/lights.glsl"
+#include "lib/fog/in_fog.glsl"
 #include "lib/light/backdrop.glsl"
 #include "lib/geometry/finite.glsl"
 
@@ -132,7 +133,10 @@ void main()
     ps_cover(seen, focused.color, focused.covered, false, focused.depth, thick);
   }
   ps_finish(seen);
-#ifdef PS_BACKDROP
+#if defined(PS_FOG)
+  vec4 behind = ps_behind_fog(gl_FragCoord.xy, u.light_count);
+  seen.color += vec4(seen.left, seen.left.y) * behind;
+#elif defined(PS_BACKDROP)
   seen.color += vec4(seen.left * ps_backdrop_at(gl_FragCoord.xy), seen.left.y);
 #elif defined(PS_BACKGROUND)
   seen.color += vec4(seen.left * ps_background(ps_ray(gl_FragCoord.xy)), seen.left.y);

@@ -1,6 +1,6 @@
 // Gathers what a receiver sees of the light tree, and of the sky behind it, without a random number (Christensen 2008;
 // Ritschel et al. 2009). One texel a receiver; its layout: render/passes/indirect/gather.py.
-//   out_diffuse: irradiance / pi
+//   out_diffuse: irradiance / pi; mean over the hemisphere, by cosine, of one over the distance, the sky's 0
 //   out_glossy: mean radiance of surfaces over the lobe around the mirrored view, and the share of the lobe that is open
 // A walk meets near nodes first. A node is opened until it is smaller than a cell; then it covers as much of the cells under it
 // as it is large: what surfaces cover adds up, so that they are tight; leaves and hairs hide each other as if they lay there by
@@ -12,8 +12,8 @@
 
 #define PS_STACK 128
 #define PS_MOST_NODES 20000  // that a walk opens: software rasterisers end all loops together after 65,535 turns
-#define PS_FINENESS 3.0  // parts of a near leaf along its side, times how far away it is, over that
-#define PS_MOST_PARTS 12
+#define PS_FINENESS (0.375 * float(PS_CELLS))  // parts of a near leaf along its side, times how far away it is, over that
+#define PS_MOST_PARTS (PS_CELLS * 3 / 2)
 // Squares of pieces tile cells unevenly: above the first share of a cell, what is open is closed faster, so many times.
 #define PS_GAPS 0.9
 #define PS_TIGHTENED 3.0
@@ -36,6 +36,7 @@ float ps_inside[PS_CELLS * PS_CELLS];  // covered by surfaces that are seen from
 
 struct PsGathered {
   vec3 diffuse;
+  float nearness;
   vec3 glossy;
 };
 
@@ -56,6 +57,7 @@ void ps_add_glossy(inout PsGathered sum, vec3 radiance, float solid_angle, vec3 
 struct PsSeen {
   vec3 direction;  // unit
   vec3 radiance;  // of what faces the receiver
+  float nearness;  // one over its distance
   float front, back;  // solid angles of what faces the receiver, and of what does not
 };
 
@@ -75,9 +77,11 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   float seen_back = left - hidden, whole = entered + seen_back;
   float open = 1.0 - ps_covered[i], covers = look.scattered ? (1.0 - exp(-whole)) * open : min(whole, open);
   ps_covered[i] += covers;
-  ps_weight[i] += covers * cell * seen.direction.z;
+  float weight = covers * cell * seen.direction.z;
+  ps_weight[i] += weight;
+  sum.nearness += weight * seen.nearness;
   vec3 radiance = (entered * seen.radiance + seen_back * (look.scattered ? seen.radiance : look.inside)) / max(whole, 1e-30);
-  ps_light[i] += radiance * (covers * cell * seen.direction.z);
+  ps_light[i] += radiance * weight;
   ps_add_glossy(sum, radiance, covers * cell, seen.direction, lobe);
 }
 
@@ -127,7 +131,7 @@ void main()
     ps_light[i] = vec3(0.0);
     ps_inside[i] = 0.0;
   }
-  PsGathered sum = PsGathered(vec3(0.0), vec3(0.0));
+  PsGathered sum = PsGathered(vec3(0.0), 0.0, vec3(0.0));
   int stack[PS_STACK];
   stack[0] = u.root;
   int size = 1, opened = 0;
@@ -185,6 +189,7 @@ void main()
       float both = max(look.along * abs(toward) + 0.5 * (1.0 - look.along), abs(signed_area));
       float angle = 0.5 * above * area / (away2 + area / (2.0 * PS_PI));
       PsSeen seen;
+      seen.nearness = 1.0 / away;
       seen.front = (both + signed_area) * angle;
       seen.back = (both - signed_area) * angle;
       seen.direction = normalize(vec3(dot(to, tangent), dot(to, across), max(rises, 0.25 * top)));
@@ -231,5 +236,5 @@ void main()
 #ifdef PS_GLOSSY
   out_glossy = vec4(sum.glossy, open_lobe) / max(whole_lobe, 1e-30);
 #endif
-  out_diffuse = vec4(sum.diffuse / whole, 1.0);
+  out_diffuse = vec4(sum.diffuse, sum.nearness) / whole;
 }

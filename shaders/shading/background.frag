@@ -5,6 +5,7 @@
 
 #include "lib/geometry/camera.glsl"
 #include "lib/light/lights.glsl"
+#include "lib/fog/in_fog.glsl"
 #include "lib/light/backdrop.glsl"
 #include "lib/geometry/finite.glsl"
 #ifdef PS_TRAINED
@@ -36,7 +37,10 @@ void main()
     discard;
   }
 #endif
-#ifdef PS_BACKDROP
+#if defined(PS_FOG) && !defined(PS_AUXILIARY_ONLY)
+  vec4 behind = ps_behind_fog(gl_FragCoord.xy, u.light_count);
+  out_combined = open * vec4(ps_finite(behind.rgb), behind.a);
+#elif defined(PS_BACKDROP)
   out_combined = open * vec4(ps_finite(ps_backdrop_at(gl_FragCoord.xy)), 1.0);
 #elif defined(PS_BACKGROUND)
   out_combined = open * vec4(ps_finite(ps_background(ps_ray(gl_FragCoord.xy))), 1.0);

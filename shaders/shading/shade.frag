@@ -11,6 +11,7 @@
 #include "lib/geometry/surfel_kind.glsl"
 #include "lib/data/pack.glsl"
 #include "lib/light/lights.glsl"
+#include "lib/fog/in_fog.glsl"
 #ifdef PS_CATCHER
 #include "lib/captured/lit.glsl"
 #else
@@ -65,6 +66,9 @@ void main()
   uvec2 codes = uvec2(texelFetch(ps_first, listed.pixel, 0).x, texelFetch(ps_second, listed.pixel, 0).x);
   ps_footprint.members = ps_group_members(codes, uint(listed.layer));
   ps_footprint.keyed = !ps_is_strand(centre);
+#ifdef PS_FOG
+  ps_footprint.air = false;
+#endif
   ps_footprint.turn = vec3(0.0);
   if (centre.z > 0.5) {
     // Normals of keys are interpolated over triangles: they are turned so that this one is the triangle's own.
@@ -149,6 +153,9 @@ void main()
   }
 #else
   vec3 radiance = ps_shade(position, normal, plane, to_eye, surface, u.light_count);
+#endif
+#ifdef PS_FOG
+  radiance = ps_in_fog(radiance, position, at, u.light_count);
 #endif
 #ifdef PS_FOCUS
   out_focus = covered * vec4(centre.x, 1.0, 0.0, 0.0);

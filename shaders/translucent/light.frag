@@ -12,6 +12,7 @@
 #include "lib/splat/kernel.glsl"
 #include "lib/data/pack.glsl"
 #include "lib/light/lights.glsl"
+#include "lib/fog/in_fog.glsl"
 #include "lib/data/materials.glsl"
 #include "lib/geometry/finite.glsl"
 #ifdef PS_DEFOCUS
@@ -26,6 +27,7 @@
 #define PS_GAMMA 0.90640248  // core/splat/painter.py
 #define PS_VIEW 1.3  // of the picture's half width: beyond it the perspective is taken as at its rim
 #define PS_PIXEL 0.3  // pixels^2: what stands for a pixel, where its centre alone is looked at
+#define PS_VOXEL_DEPTH 1.02625  // optical depth across a voxel over a splat's `peak`: 2 pi EVEN_SPACING^2, core/splat/kernel.py
 #define PS_FAINT 1e-7  // optical depth of what only emits
 #define PS_FAINT_TINT 1e-4  // least extinction of a channel over that of the strongest
 
@@ -247,7 +249,8 @@ void main()
   vec3 source = vec3(0.0);
 #ifdef PS_MEDIA
   if (!lit_as_surface) {
-    source = ps_shade_medium(p, to_eye, texelFetch(ps_materials, ivec2(1, material), 0).w, surface.base, u.light_count);
+    vec3 across = optics.z > 1.5 ? peak * PS_VOXEL_DEPTH * tint : vec3(0.0);
+    source = ps_shade_medium(p, to_eye, texelFetch(ps_materials, ivec2(1, material), 0).w, surface.base, across, u.light_count);
   }
   // What emits per unit of length has this radiance where it is opaque.
   source += medium ? emission / (strength * tint) : vec3(0.0);
@@ -269,6 +272,10 @@ void main()
     source += ps_shade(lit_position, facing, vec3(0.0), to_eye, surface, u.light_count);
 #endif
   }
+
+#if defined(PS_FOG) && !defined(PS_REACH)
+  source = ps_in_fog(source, p, pixel, u.light_count);
+#endif
 
 #ifdef PS_FUZZY_DISCONNECTED
   // What stands apart hides as much as if it were not widened: core/splat/painter.py, `thinned`.

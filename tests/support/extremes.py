@@ -9,6 +9,7 @@ import numpy as np
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.scene import Geometry, Instances
 from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import Fog
 from scripts.scenes import build, cameras, clouds, meshes
 from scripts.scenes.build import moved, points, strand_lines
 from scripts.scenes.cameras import camera
@@ -54,7 +55,13 @@ def scaled(case: Case, s: float) -> Case:
         clip[:3, :3] /= s
     eye = replace(cam, view_from_world=view, clip_from_view=clip, near=cam.near * s, far=cam.far * s)
     lights = tuple(_scaled_light(light, s) for light in scene.lights)
-    return replace(case, scene=replace(scene, instances=instances, lights=lights), camera=eye)
+    world = replace(scene.world, fog=None if scene.world.fog is None else _scaled_fog(scene.world.fog, s))
+    return replace(case, scene=replace(scene, instances=instances, lights=lights, world=world), camera=eye)
+
+
+def _scaled_fog(fog: Fog, s: float) -> Fog:
+    """Its coefficients are per unit of length."""
+    return replace(fog, extinction=fog.extinction / s, scattering=fog.scattering / s, emission=fog.emission / s)
 
 
 def _scaled_light(light: Light, s: float) -> Light:

@@ -23,7 +23,7 @@ def is_closed(mesh: Mesh) -> bool:
         corners = _hashed_places(mesh.position)[mesh.triangles.T]
         for start, end in ((0, 1), (1, 2), (2, 0)):
             a, b = corners[start], corners[end]
-            edge = _scrambled(np.minimum(a, b) + MULTIPLIERS[0] * np.maximum(a, b))
+            edge = scrambled(np.minimum(a, b) + MULTIPLIERS[0] * np.maximum(a, b))
             upwards = a < b
             total += edge[upwards].sum(dtype=np.uint64) - edge[~upwards & (a != b)].sum(dtype=np.uint64)
     return bool(total == 0)
@@ -32,13 +32,13 @@ def is_closed(mesh: Mesh) -> bool:
 def _hashed_places(position: np.ndarray) -> np.ndarray:
     """(V,) uint64: equal where positions (V, 3) float32 are."""
     bits = np.ascontiguousarray(position + np.float32(0)).view(np.uint32).astype(np.uint64)  # -0 is 0
-    found = _scrambled(bits[:, 0])
+    found = scrambled(bits[:, 0])
     for column in (1, 2):
-        found = _scrambled(found ^ bits[:, column])
+        found = scrambled(found ^ bits[:, column])
     return found
 
 
-def _scrambled(x: np.ndarray) -> np.ndarray:
+def scrambled(x: np.ndarray) -> np.ndarray:
     x = (x ^ (x >> np.uint64(30))) * MULTIPLIERS[0]
     x = (x ^ (x >> np.uint64(27))) * MULTIPLIERS[1]
     return x ^ (x >> np.uint64(31))

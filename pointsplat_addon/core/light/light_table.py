@@ -9,16 +9,19 @@ import numpy as np
 from ..scene.lights import Light
 from ..scene.world import World
 from .bsdf import MIN_ALPHA, TABLE_ROWS, WIDTH, reflectance_table, surface_row
+from .fog import TEXELS, fog_texels
 from .light_shapes import KINDS, area_axes, beam_mean, blend_range, is_narrowed, light_kind
 
 # ps_lights, (FIRST_LIGHT + lights, WIDTH, 4) float32:
 #   rows 0 .. TABLE_ROWS      reflectance table, see bsdf.reflectance_table
-#   row TABLE_ROWS            (0) world colour; (1..3) columns of image_from_view; (4) where each kind but the last ends
+#   row TABLE_ROWS            (0) world colour; (1..3) columns of image_from_view; (4) where each kind but the last
+#                             ends; (5..7) fog, see fog.fog_texels
 #   row SURFACE_ROW           dielectrics of one kind: see bsdf.surface_row
 #   rows FIRST_LIGHT ..       one light each, sorted by kind, see light_records
 SURFACE_ROW = TABLE_ROWS + 1
 FIRST_LIGHT = TABLE_ROWS + 2
 COLUMNS = 6
+FOG = 5  # column of the world's row
 SMALL = 0.2  # angular radius of a light over the lobe's alpha, below which it is a point: 0.5 % in the peak
 SMALL_SINE = 0.01  # of an angular radius whose cut by the horizon is not seen
 
@@ -42,11 +45,17 @@ def sorted_by_kind(lights: Sequence[Light]) -> list[Light]:
 
 
 def light_texture(
-    lights: Sequence[Light], world: World, view_from_world: np.ndarray, roughness: float = 0.5, eta: float = 1.5
+    lights: Sequence[Light],
+    world: World,
+    view_from_world: np.ndarray,
+    roughness: float = 0.5,
+    eta: float = 1.5,
+    near: float = 0.0,
 ) -> np.ndarray:
     """The light table ps_lights that shaders/lib/light reads: (FIRST_LIGHT + L, WIDTH, 4) float32.
 
-    roughness, eta: of the whole scene, where PS_ONE_SURFACE says that all of it is alike and nothing metallic.
+    roughness, eta: of the whole scene, where PS_ONE_SURFACE says that all of it is alike and nothing metallic. near: of
+    the camera.
     """
     lights = sorted_by_kind(lights)
     texture = np.zeros((FIRST_LIGHT + len(lights), WIDTH, 4), np.float32)
@@ -56,6 +65,8 @@ def light_texture(
     texture[TABLE_ROWS, 4] = np.searchsorted(kinds, np.arange(len(KINDS) - 1), side="right")
     texture[TABLE_ROWS, 0, :3] = world.color
     texture[TABLE_ROWS, 1:4, :3] = (world.world_rotation @ view_from_world[:3, :3].T).T  # columns as rows
+    if world.fog is not None:
+        texture[TABLE_ROWS, FOG : FOG + TEXELS] = fog_texels(world.fog, near)
     texture[FIRST_LIGHT:, :COLUMNS] = light_records(lights, view_from_world)
     return texture
 

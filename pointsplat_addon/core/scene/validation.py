@@ -26,7 +26,7 @@ from .strands import Strands
 from .valid.captured import valid_captured
 from .valid.geometry import valid_mesh, valid_points, valid_strands
 from .volume import Medium, Transfer, Volume
-from .world import Mist, World
+from .world import Fog, Mist, World
 
 FLOAT32 = float(np.finfo(np.float32).max)
 BRIGHTEST = 65504.0  # of half floats
@@ -82,6 +82,12 @@ RULES: dict[type, dict[str, Rule]] = {
         "image": Rule(LATER),  # the environment's importance ignores texels that are no numbers
         "world_rotation": Rule(DEFAULT, -1.01, 1.01),  # float32's rounding, and no more
     },
+    Fog: {
+        "extinction": Rule(CLAMP, 0, STRONGEST),
+        "scattering": Rule(CLAMP, 0, STRONGEST),
+        "emission": Rule(CLAMP, 0, STRONGEST),
+        "anisotropy": Rule(CLAMP, -1, 1),
+    },
     Mist: dict.fromkeys(("start", "depth"), Rule(LATER)),  # it changes a pass of its own alone
     Camera: {
         "view_from_world": Rule(WORLD_ONLY, *_DISTANCE),  # and it must be rigid
@@ -136,7 +142,7 @@ RULES: dict[type, dict[str, Rule]] = {
     },
     PointSize: {"radius": Rule(LATER)},  # radii of points are checked
     StreamedScan: {"box_from_object": Rule(LATER)},  # comparisons with what is no number are false
-    Volume: {"object_from_index": Rule(LATER), "grids": _VOXELS},  # its points are valid: `valid_points`
+    Volume: {"object_from_index": Rule(LATER), **dict.fromkeys(("grids", "share", "scale"), _VOXELS)},  # `valid_points`
     Transfer: dict.fromkeys(("low", "high", "ramp", "density"), _VOXELS),
     Medium: dict.fromkeys(
         ("density", "color", "absorption", "anisotropy", "emission", "blackbody", "blackbody_tint", "temperature"),
@@ -277,7 +283,7 @@ def _clamped(owner: Any, default: Any) -> dict[str, Any]:
     """The columns (M, ...) of a table that have to change, clamped; NaN becomes the default's first row, else 0."""
     changed = {}
     for name in _wrong(owner, CLAMP):
-        column, rule = getattr(owner, name), RULES[type(owner)][name]
+        column, rule = np.asarray(getattr(owner, name)), RULES[type(owner)][name]
         other = getattr(default, name, None)
         missing = 0.0 if other is None else other[:1]
         changed[name] = np.clip(np.where(np.isnan(column), missing, column), rule.low, rule.high).astype(column.dtype)
@@ -288,6 +294,8 @@ def _valid_world(world: World) -> World:
     if _wrong(world, CLAMP):
         color = np.nan_to_num(world.color, nan=0.0, posinf=FARTHEST, neginf=0.0)
         world = replace(world, color=np.clip(color, -FARTHEST, FARTHEST))
+    if world.fog is not None and (fog := _clamped(world.fog, None)):
+        world = replace(world, fog=replace(world.fog, **fog))
     return replace(world, world_rotation=np.eye(3)) if _wrong(world, DEFAULT) else world
 
 

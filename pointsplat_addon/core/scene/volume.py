@@ -21,6 +21,8 @@ class Volume:
     grids: dict[str, np.ndarray] = field(default_factory=dict)
     material: int = 0  # row of Scene.materials
     transfer: Transfer | None = None  # instead of what the material says
+    share: np.ndarray | None = None  # (N,) float32 in [0, 1], of each voxel, that the medium fills; None: all of it
+    scale: float = 1.0  # of object units in the units of length that the medium's density counts in
 
 
 @record

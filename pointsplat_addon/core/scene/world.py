@@ -10,12 +10,23 @@ from ..numeric.record import record
 
 
 @record
+class Fog:
+    """A medium that fills all of the world, the same everywhere, per unit of length."""
+
+    extinction: np.ndarray  # (3,) float64
+    scattering: np.ndarray  # (3,) float64
+    emission: np.ndarray = field(default_factory=lambda: np.zeros(3))  # (3,) float64 radiance
+    anisotropy: float = 0.0  # Henyey-Greenstein's g
+
+
+@record
 class World:
     """Light from infinitely far: a colour, or an equirectangular picture."""
 
     color: np.ndarray = field(default_factory=lambda: np.zeros(3))  # (3,) float64 radiance; used when image is None
     image: np.ndarray | None = None  # (H, W, 3) float32 radiance, row 0 at the bottom (-Z), Blender's equirect layout
     world_rotation: np.ndarray = field(default_factory=lambda: np.eye(3))  # (3, 3) image_from_world
+    fog: Fog | None = None
 
 
 @record

@@ -56,7 +56,7 @@ def voxel_optics(volume: Volume, medium: Medium, extinction: float = 0.0) -> tup
 
     value = grids.scalar(medium.density_grid)
     if value is None:
-        if medium.density_grid:
+        if medium.density_grid and volume.share is None:
             warnings.append(
                 f'{volume.name}: there is no grid "{medium.density_grid}", the density is the same everywhere'
             )
@@ -71,10 +71,15 @@ def voxel_optics(volume: Volume, medium: Medium, extinction: float = 0.0) -> tup
     unit = color + np.maximum(1 - color, 0) * absorbed
     gray = bool((np.ptp(unit, axis=1) <= 1e-6 * unit.max(axis=1)).all())
     albedo = np.divide(color, unit, out=np.zeros_like(unit), where=unit > 0)
+    emission = _emission(medium, grids, len(density))
+    if volume.share is not None or volume.scale != 1:
+        amount = np.float32(volume.scale) * (np.float32(1) if volume.share is None else volume.share)
+        density = density * amount
+        emission = None if emission is None else emission * np.reshape(amount, (-1, 1))
     return Optics(
         extinction=density * unit[:, 0] if gray else density[:, None] * unit,
         albedo=np.array(np.broadcast_to(albedo, (len(density), 3))),
-        emission=_emission(medium, grids, len(density)),
+        emission=emission,
         value=value,
     ), [*warnings, *grids.warnings]
 

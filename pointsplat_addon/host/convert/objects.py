@@ -11,6 +11,7 @@ import numpy as np
 
 from ...core.scene.volume import Transfer
 from .captured import ANTIALIASED
+from .material.filled import axis_lengths, filling_material, has_surface
 from .pages import LinkedScan
 from .particles import read_particles
 from .point_shapes import PointShape, pixel_radius_of, shape_of
@@ -59,6 +60,8 @@ class Source:
     lighting: str = "CAPTURED"  # of captured splats
     antialiased: bool = False  # of these
     scan: LinkedScan | None = None  # the file that the points stand for
+    # Instead of the surface of a mesh, what fills it: lengths of the object's axes in world space; () else
+    filled: tuple[float, ...] = ()
     motion: float = 0.0  # of points: seconds of a frame, where a pass asks how they move
 
     @property
@@ -96,6 +99,7 @@ def collect(
     identity: list[tuple] = []
     unsupported: dict[str, list[str]] = {}
     boxes: dict[int, Boxes | None] = {}  # of point clouds, by session_uid
+    media: dict[int, bpy.types.Material | None] = {}  # materials that fill meshes, by session_uid
     render = depsgraph.scene_eval.render
     motion = render.fps_base / render.fps if identify else 0.0
     tubes: set[int] = set()  # session_uids of curve objects that are drawn as tubes
@@ -115,7 +119,13 @@ def collect(
             continue
         parent = instance.parent if instance.is_instance else ob
         key = uid, ob.data.session_uid, parent.original.session_uid, instance.is_instance
-        clip = None
+        clip, scale = None, ()
+        if ob.type == "MESH":
+            if uid not in media:
+                media[uid] = filling_material(_materials(ob, view_layer.material_override))
+            if media[uid] is not None:
+                scale = axis_lengths(np.array(instance.matrix_world, np.float64))
+                key = (*key, scale)
         if ob.type == "POINTCLOUD":
             if uid not in boxes:
                 boxes[uid] = boxes_of(ob, depsgraph)
@@ -131,7 +141,10 @@ def collect(
             elif visible.drawn and (view3d is None or ob.visible_in_viewport_get(view3d)):
                 source = _make_source(ob, view_layer.material_override, visible, instance.is_instance, clip)
                 source.motion = motion
-                sources += [source] if instance.show_self else []
+                own = [source]
+                if scale and source.smoke is None and (medium := media[uid]) is not None:
+                    own = _with_filling(source, medium, scale)
+                sources += own if instance.show_self else []
                 if len(ob.particle_systems) and instance.show_particles:
                     # Hair is read later, when the instance and its object no longer live
                     emitter = ob.original.evaluated_get(depsgraph) if instance.is_instance else ob
@@ -160,8 +173,8 @@ def _make_source(
     generated: bool,
     clip: Clip | None,
 ) -> Source:
-    matte = ob.type == "MESH" and ob.pointsplat.is_matte
-    materials = () if matte else tuple(override or slot.material for slot in ob.material_slots)
+    matte = _is_matte(ob)
+    materials = _materials(ob, override)
     primitive = "POLYGONS" if matte else ob.pointsplat.primitive
     return Source(
         name=ob.name,
@@ -188,6 +201,25 @@ def _make_source(
         clip=clip,
         scan=linked_scan(ob),
     )
+
+
+def _with_filling(source: Source, material: bpy.types.Material, scale: tuple[float, ...]) -> list[Source]:
+    """Returns the source of a mesh, if it has a surface, and that of what fills it.
+
+    scale: `axis_lengths` of the instance. Densities are those of world space: instances of other sizes are filled by
+    other voxels.
+    """
+    filled = replace(source, materials=(material, *source.materials), filled=scale, primitive="AUTO")
+    return [source, filled] if has_surface(source.materials) else [filled]
+
+
+def _is_matte(ob: bpy.types.Object) -> bool:
+    return ob.type == "MESH" and ob.pointsplat.is_matte
+
+
+def _materials(ob: bpy.types.Object, override: bpy.types.Material | None) -> tuple[bpy.types.Material | None, ...]:
+    """Returns the material of each slot; mattes have none."""
+    return () if _is_matte(ob) else tuple(override or slot.material for slot in ob.material_slots)
 
 
 def linked_scan(ob: bpy.types.Object) -> LinkedScan | None:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 from mathutils import Euler
 
 from ...core.material.color_models import linear_from_srgb
 from ...core.material.image import Image
-from ...core.scene.world import World
+from ...core.scene.volume import Volume
+from ...core.scene.world import Fog, World
+from ...core.volume.optics import voxel_optics
 from .material.images import convert_image
-from .material.nodes.table import constant_value
+from .material.media import read_medium
+from .material.nodes.table import constant_value, tree_reader
 from .material.nodes.tree import Path, resolve
 
 DIRECTIONS = {("ShaderNodeTexCoord", "Generated"), ("ShaderNodeNewGeometry", "Position")}
@@ -27,12 +32,45 @@ def from_world(world: bpy.types.World | None) -> tuple[World, list[str]]:
 
     None is a black world.
     """
+    found, warnings = _surface(world)
+    if world is None or (output := _output(world)) is None or not output.inputs["Volume"].is_linked:
+        return found, warnings
+    fog, messages = _fog(world.name, output.inputs["Volume"])
+    return replace(found, fog=fog), [*warnings, *messages]
+
+
+def _output(world: bpy.types.World) -> bpy.types.Node | None:
+    """The world's output node; None if it has none, or uses no nodes."""
+    if world.node_tree is None or (bpy.app.version < (5, 0) and not world.use_nodes):
+        return None
+    return world.node_tree.get_output_node("ALL")
+
+
+def _fog(name: str, socket: bpy.types.NodeSocket) -> tuple[Fog | None, list[str]]:
+    """What the volume of a world is, and warnings: one fog, the same everywhere. None if it changes nothing."""
+    tree = tree_reader(name)
+    medium = read_medium(tree, socket)
+    warnings = [w.replace('Material "', 'World "', 1) for w in tree.warnings]
+    if medium is None:
+        return None, warnings
+    one = Volume("", name, np.zeros((1, 3), np.int32), np.eye(4), share=np.ones(1, np.float32))
+    optics, more = voxel_optics(one, medium)
+    extinction = np.broadcast_to(optics.extinction[0], (3,)).astype(float)
+    emission = np.zeros(3) if optics.emission is None else optics.emission[0].astype(float)
+    emission = np.where(extinction > 0, emission, 0.0)  # it would have no bound
+    if not (extinction.any() or emission.any()):
+        return None, [*warnings, *more]
+    return Fog(extinction, extinction * optics.albedo[0], emission, medium.anisotropy), [*warnings, *more]
+
+
+def _surface(world: bpy.types.World | None) -> tuple[World, list[str]]:
+    """The world without its volume, and warnings."""
     if world is None:
         return World(), []
     plain = World(color=np.array(world.color, float))
     if world.node_tree is None or (bpy.app.version < (5, 0) and not world.use_nodes):
         return plain, []
-    output = world.node_tree.get_output_node("ALL")
+    output = _output(world)
     found = resolve(output.inputs["Surface"], ()) if output else None
     if found is None:
         return World(), []

@@ -97,7 +97,10 @@ class OutOfFocus:
         textures = {**self.uploads.shading, **behind, **sharp}
         if adaptive is not None:
             textures["ps_counts"] = adaptive.known
-        record = view.record_of(program.block, sample_weight=1 / done, backdrop_texels=backdrop_texels)
+        record = view.record_of(
+            program.block, sample_weight=1 / done, backdrop_texels=backdrop_texels,
+            light_count=len(self.uploads.scene.lights),
+        )  # fmt: skip
         self._run("defocus", lambda: tiles.draw(program, self.targets.seen_target, record, self.lit.textures, textures))
 
     def _light(self, view: SampleView) -> None:

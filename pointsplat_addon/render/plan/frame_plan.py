@@ -76,7 +76,7 @@ class FramePlan:
     def trivial(self) -> bool:
         """Whether one colour fills the picture."""
         drawn = self.plan.solid or self.plan.translucent is not None
-        return not drawn and (self.scene.world.image is None or self.scene.transparent)
+        return not drawn and self.scene.world.fog is None and (self.scene.world.image is None or self.scene.transparent)
 
     @property
     def size(self) -> tuple[int, int]:

@@ -106,7 +106,7 @@ def make_plan(view: ViewToPlan) -> Plan:
         translucent=translucent,
         coarse=_coarse_translucent(view, translucent),
         ewa=ewa,
-        world=() if scene.transparent else _world(scene),
+        world=_behind(view),
         painter=view.painter,
         sub_samples=view.sub_samples,
         filter_size=view.request.settings.filter_size,
@@ -247,7 +247,7 @@ def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
     something is drawn."""
     scene = view.scene
     found: tuple[str, ...] = ()
-    if drawn and view.reflects and view.picture:
+    if drawn and (view.reflects or scene.world.fog is not None) and view.picture:
         smoothest = 0.0 if varies else float(scene.materials.roughness.min())
         found = (*_world(scene), *light_names(scene.lights, smoothest))
     return found + (() if view.shadows is None else _shadows(view.shadows))
@@ -260,9 +260,8 @@ def _indirect(view: ViewToPlan, kinds: _Kinds) -> bool:
     emits = bool((scene.materials.emission > 0).any()) or any(
         isinstance(graph, MaterialGraph) and "emission" in graph.channels for graph in scene.materials.graphs
     )
-    return (
-        drawn and not view.defocus and (emits or bool(_world(scene)) or (settings.bounces > 0 and bool(scene.lights)))
-    )
+    world = scene.world.image is not None or bool(np.any(scene.world.color > 0))
+    return drawn and not view.defocus and (emits or world or (settings.bounces > 0 and bool(scene.lights)))
 
 
 def _shadows(shadows: Shadows) -> tuple[str, ...]:
@@ -364,14 +363,24 @@ def _coarse_translucent(view: ViewToPlan, translucent: TranslucentOptions | None
 
 def _world(scene: Scene) -> tuple[str, ...]:
     """Names of the defines of the world's light."""
+    fog = () if scene.world.fog is None else ("PS_FOG",)
     if scene.world.image is not None:
-        return ("PS_HAS_ENVIRONMENT",)
-    return ("PS_HAS_WORLD",) if np.any(scene.world.color > 0) else ()
+        return (*fog, "PS_HAS_ENVIRONMENT")
+    return (*fog, "PS_HAS_WORLD") if np.any(scene.world.color > 0) else fog
+
+
+def _behind(view: ViewToPlan) -> tuple[str, ...]:
+    """Names of the defines of what is behind everything: the world, and fog with the lights and shadows in it."""
+    scene = view.scene
+    if scene.world.fog is not None and view.picture:
+        return _lights_and_shadows(view, view.shadows)
+    return () if scene.transparent else _world(scene)
 
 
 def _background(view: ViewToPlan) -> bool:
     """Whether the pass `background` draws the world: the pass `defocus` does so where it runs."""
-    return ((not view.scene.transparent and view.picture) or "mist" in view.request.passes) and not view.defocus
+    shown = not view.scene.transparent or view.scene.world.fog is not None
+    return ((shown and view.picture) or "mist" in view.request.passes) and not view.defocus
 
 
 # Passes for data

@@ -67,7 +67,7 @@ class Plan:
     @property
     def background_defines(self) -> tuple[str, ...]:
         """Names of the shader defines of passes that draw the world behind everything."""
-        return ("PS_BACKDROP",) if self.backdrop else self.world
+        return ("PS_BACKDROP",) if self.backdrop and "PS_FOG" not in self.world else self.world
 
     def splat_radius(self, largest: float) -> float:
         """Returns in pixels how far splats of a radius of at most `largest` pixels are drawn around their centres."""

@@ -66,10 +66,11 @@ def without_negligible(
 ) -> tuple[Scene, bool, tuple[tuple[str, str], ...]]:
     """Returns the scene without lights, world and emission that add nothing measurable to the view.
 
-    Where light changes captured splats, whose colours have no bound, all stays. Also returns whether anything that is
+    Where light changes captured splats, whose colours have no bound, and where the world's fog scatters it, all stays.
+    Also returns whether anything that is
     drawn reflects light, and what was left out: tuples (what, because).
     """
-    if lit_captured(scene, prepared.captured):
+    if lit_captured(scene, prepared.captured) or scene.world.fog is not None:
         return scene, True, ()
     bounds, notes = reflection(scene, prepared, store), []
     world = _world_or_black(scene, bounds)

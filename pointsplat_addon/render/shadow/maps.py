@@ -37,7 +37,7 @@ class ShadowMaps:
     size: tuple[int, int]  # of the texture that holds all
     casters: tuple[tuple[str, np.ndarray], ...]  # key of a geometry, (I, 4, 4) its casting instances
     of_scene: ShadowMaps | None = None  # whose texture this one's begins with; what follows are nested maps
-    # (4,) float64: middle and radius, in the world, of a ball around the strands among the casters; None: without any
+    # (4,) float64: middle and radius, in the world, of a ball around strands that cast; None: there are none
     strands: np.ndarray | None = None
 
     @property
@@ -218,7 +218,7 @@ def _light_points(lights: Sequence[Light | None], casters: Sequence[CastingGeome
 
 
 def ball_around_strands(casters: Sequence[CastingGeometry], store: Store) -> np.ndarray | None:
-    """Returns middle and radius, (4,) float64, of a ball that holds all strands, in the world; None without any."""
+    """Returns middle and radius, (4,) float64, of a ball around all strands, in the world; None if there are none."""
     fibres = [caster for caster in casters if caster.geometry.strands is not None]
     if not fibres:
         return None

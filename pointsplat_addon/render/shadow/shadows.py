@@ -89,9 +89,10 @@ def make_shadows(
     casters = casting_geometries(scene, store)
     if not casters:
         return None, "nothing casts shadows"
-    if camera is not None and is_lone_body(scene, casters, camera, store):
+    fog = scene.world.fog is not None  # which lies behind everything
+    if camera is not None and not fog and is_lone_body(scene, casters, camera, store):
         return None, "a convex body is alone"
-    casters, floors = split_floors(scene, casters, store)
+    casters, floors = (casters, (False,) * len(casters)) if fog else split_floors(scene, casters, store)
     if all(floors):
         return None, "there is nothing in the shadow of anything"
     lights = sorted_by_kind(scene.lights)

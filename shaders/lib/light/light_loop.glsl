@@ -19,6 +19,9 @@ vec3 ps_arrived;  // the sum of all light, without shadows
 
 vec3 ps_reaching(int index, vec3 light, vec3 position, vec3 normal)
 {
+#ifdef PS_FOG
+  light *= index < ps_light_ends().x ? vec3(1.0) : ps_fog_left(length(ps_light(index, 1).xyz - position));
+#endif
 #ifdef PS_SHADOWED
   ps_arrived += light;
 #endif

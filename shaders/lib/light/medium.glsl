@@ -1,5 +1,7 @@
 // Light that media scatter once. For lights.glsl.
 
+#define PS_DEEPEST_PIECE 1.5  // deeper pieces are taken as this one: their middles' light is known less well
+
 #ifdef PS_HAS_LIGHTS
 
 // Henyey and Greenstein 1941; `cosine` of the angle by which light turns.
@@ -58,8 +60,13 @@ vec3 ps_ambient()
 }
 
 // Light that a medium of this albedo scatters once towards the eye, over its extinction; g is Henyey and Greenstein's.
-vec3 ps_shade_medium(vec3 position, vec3 to_eye, float g, vec3 albedo, int light_count)
+// across: optical depth of the piece of the medium that the light of its middle stands for. Light from the eye's side is
+// brightest where the eye sees most of the piece, and the mean of what is seen is more than the middle's: by exp((1 + 2 c) d^2 / 24)
+// for the product of exponentials in a cube of depth d, lit from a direction at an angle of cosine c to that of the eye. Along the eye's
+// direction that is cosh(d / 2), which it follows for larger depths.
+vec3 ps_shade_medium(vec3 position, vec3 to_eye, float g, vec3 albedo, vec3 across, int light_count)
 {
+  vec3 half_depth = 0.5 * min(across, vec3(PS_DEEPEST_PIECE)), steep = log(0.5 * (exp(half_depth) + exp(-half_depth))) / 3.0;
   vec3 result = ps_ambient();
 #ifdef PS_HAS_LIGHTS
   ivec4 ends = ps_light_ends();
@@ -67,7 +74,8 @@ vec3 ps_shade_medium(vec3 position, vec3 to_eye, float g, vec3 albedo, int light
     vec3 to_light;
     vec3 irradiance = ps_ball_irradiance(i, ends, position, to_light);
     irradiance = ps_reaching(i, irradiance, position, vec3(0.0));
-    result += irradiance * ps_phase(g, -dot(to_light, to_eye));
+    float cosine = dot(to_light, to_eye);
+    result += irradiance * ps_phase(g, -cosine) * exp(steep * (1.0 + 2.0 * cosine));
   }
 #endif
   return albedo * result;

@@ -38,6 +38,10 @@ struct PsFootprint {
   float rise;
   bool keyed;  // each sub-sample lies in a plane whose normal is that of its key, turned by
   vec3 turn;  // what is added to it; else in that by which the group is shaded
+#ifdef PS_FOG
+  bool air;  // a place in the fog is looked at instead
+  vec3 place;
+#endif
 };
 PsFootprint ps_footprint;
 
@@ -50,6 +54,11 @@ struct PsMember {
 PsMember ps_member(inout uvec2 members, vec3 normal)
 {
   ivec2 cell = ps_footprint.middle + ps_next_member(members);
+#ifdef PS_FOG
+  if (ps_footprint.air) {
+    return PsMember(ps_footprint.place, vec3(0.0));
+  }
+#endif
   float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
   vec3 own = normal;
   if (ps_footprint.keyed) {

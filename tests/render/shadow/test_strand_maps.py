@@ -61,8 +61,8 @@ def test_strands_keep_as_much_light_as_they_are_wide(width, light):
     assert abs(kept * APART / width - 1) < WORST, f"{kept:.5f}"
 
 
-# Measured: 0.063, 0.053, 0.058 and 0.021 under the sun, since the picture shows no whole number of gaps; lamp 0.009; the wide
-# sun 0.046, 0.006, 0.014 and 0.053, the wide lamp 0.037.
+# Measured: 0.063, 0.053, 0.058 and 0.021 under the sun, since the picture shows no whole number of gaps; lamp 0.009;
+# the wide sun 0.046, 0.006, 0.014 and 0.053, the wide lamp 0.037.
 WORST = 0.08
 
 

@@ -38,6 +38,7 @@ from tests.support.leave_out.scenes import (
     glow,
     hair,
     held_smoke,
+    in_fog,
     looking_away,
     many_instances,
     mixed_materials,
@@ -141,6 +142,13 @@ ROWS: dict[str, Row] = {
     "smoke among points and polygons, shadows": Row(translucent_cases.smoke),
     "coloured smoke, shadows": Row(translucent_cases.tinted_smoke),
     "smoke that is held out": Row(held_smoke),
+    "fog alone": Row(lambda: in_fog(solid_cases.empty())),
+    "one cube in fog, shadows": Row(lambda: in_fog(one_light(solid_cases.cube(), 0.0))),
+    "two cubes in fog, shadows of a wide light": Row(lambda: in_fog(one_light(two_cubes(), 0.3))),
+    "visibility buffer, two cubes in fog, shadows": Row(
+        lambda: with_settings(in_fog(one_light(two_cubes(), 0.3)), technique="VISIBILITY")
+    ),
+    "smoke in fog": Row(translucent_cases.in_fog),
     "tube": Row(tube),
     "ribbon": Row(ribbon),
     "hair, shadows": Row(hair, samples=8),

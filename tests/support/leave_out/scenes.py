@@ -13,7 +13,7 @@ from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.materials import HairTable
-from pointsplat_addon.core.scene.world import World
+from pointsplat_addon.core.scene.world import Fog, World
 from pointsplat_addon.render.frame.visibility.occlusion import FEWEST_TRIANGLES
 from scripts.scenes import build, cameras, clouds, detailed_cases, lit_cases, meshes, solid_cases
 from scripts.scenes.case import Case
@@ -189,6 +189,11 @@ def two_cubes() -> Case:
 def one_light(case: Case, radius: float) -> Case:
     light = Light("POINT", np.full(3, 20.0), np.array([1.0, -3, 2]), np.array([0.0, 0, -1]), radius)
     return with_settings(with_scene(case, lights=(light,)), use_shadows=True, shadow_resolution=64)
+
+
+def in_fog(case: Case) -> Case:
+    fog = Fog(np.full(3, 0.1), np.full(3, 0.08))
+    return with_scene(case, world=World(fog=fog))
 
 
 def normals() -> Case:

@@ -126,7 +126,7 @@ def convert_material(material: bpy.types.Material) -> MaterialRow:
     A surface that cannot be converted gets the viewport's colour, and one warning.
     """
     tree = tree_reader(material.name)
-    output = _output_node(material)
+    output = output_node(material)
     surface = _material_surface(material, output, tree)
     constants, graph = _split_constants(surface, tree)
     return MaterialRow(
@@ -162,7 +162,7 @@ def _node_tree(material: bpy.types.Material) -> bpy.types.ShaderNodeTree | None:
     return None if without_nodes else material.node_tree
 
 
-def _output_node(material: bpy.types.Material) -> bpy.types.Node | None:
+def output_node(material: bpy.types.Material) -> bpy.types.Node | None:
     """The active output node for any engine, else that for Cycles or EEVEE; None if there is none."""
     tree = _node_tree(material)
     outputs = map(tree.get_output_node, ("ALL", "CYCLES", "EEVEE")) if tree else ()

@@ -139,7 +139,7 @@ class LightingUploads:
         """Uploads the lights, and the records of their shadow tables and maps, in the space of a view."""
         scene = self._scene
         if self._plan.lighting or self._plan.world:
-            rows = light_texture(scene.lights, scene.world, camera.view_from_world, *self._surface)
+            rows = light_texture(scene.lights, scene.world, camera.view_from_world, *self._surface, near=camera.near)
             self._lights = self._scope.view_texture(rows)
         if self._tables is not None:
             self._table_records = self._scope.view_texture(self._tables.packed.records(camera.view_from_world))

@@ -124,6 +124,8 @@ class TranslucentUploads:
         lights that cast shadows are few."""
         layer, lights = self._layer, len(self._scene.lights)
         shown = layer.set_of_instance[layer.set_of_instance >= 0]
+        if self._scene.world.fog is not None:
+            return  # shadows are looked up along the rays to splats, too
         if self._lighting.shadow_key is None or len(np.unique(shown)) < len(shown) or lights > MOST_SHARED_LIGHTS:
             return
         instance = np.zeros(page.count, np.int64)

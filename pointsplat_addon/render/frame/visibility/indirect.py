@@ -9,13 +9,16 @@ import numpy as np
 from ...device.protocol import Device, Target, Texture
 from ...indirect.light import IndirectLight
 from ...passes.gbuffer import GBuffer, Variant
-from ...passes.indirect.gather import Gather
+from ...passes.indirect.gather import CELLS
 from ...passes.indirect.group_points import GROUP_POINTS_BLOCK, group_points_program
 from ...passes.indirect.interpolate import INTERPOLATE, INTERPOLATE_BLOCK, TILE
-from ...passes.indirect.pages import RECEIVER_WIDTH, receiver_texture
+from ...passes.indirect.pages import RECEIVER_WIDTH, paged_texture, receiver_texture
 from ...passes.uniforms import SampleView
+from .known import Known
 from .receivers import Receivers, choose_receivers
 
+SIDES = 4 * TILE, 2 * TILE, TILE  # of squares of pixels that have receivers, one after the other
+FEWEST_IN_TILE = 3  # groups of a surface in a square, from which on it has a receiver there beside that of the largest
 SHARPEST = 24.0  # of a glossy lobe that the cells of a hemisphere resolve
 
 
@@ -52,33 +55,60 @@ class GroupsInIndirectLight:
         )
         count = len(entries)
         place, up = (device.read(lists.textures[name]).reshape(-1, 4)[:count] for name in ("ps_places", "ps_ups"))
-        chosen = choose_receivers(place, up, entries[:, 0], view, TILE)
-        self._interpolate(view, lists, listed, chosen, place, up)
+        chosen = choose_receivers(place, up, entries[:, 0], view, TILE, FEWEST_IN_TILE, True)
+        found = self._found(view, place, up, entries[:, 0], chosen)
+        self._interpolate(view, lists, listed, chosen, found, place, up)
         return {"ps_gathered_light": lists.textures["gathered"], "ps_mirrored_light": lists.textures["mirrored"]}
 
-    def _interpolate(
-        self, view: SampleView, lists: _Lists, listed: Texture, chosen: Receivers, place: np.ndarray, up: np.ndarray
-    ) -> None:
-        device, rows = self._device, chosen.rows
-        position, normal = place[rows, :3], up[rows, :3]
+    def _found(
+        self, view: SampleView, place: np.ndarray, up: np.ndarray, pixel: np.ndarray, chosen: Receivers
+    ) -> np.ndarray:
+        """(R, 8): what receivers have gathered, or interpolated from others that are farther apart and see alike."""
+        position, normal = place[:, :3], up[:, :3]
         to_eye = -position / np.maximum(np.linalg.norm(position, axis=1, keepdims=True), 1e-30)
         if not view.camera.perspective:
             to_eye = np.broadcast_to(view.world_from_view[:3, 2].astype(np.float32), position.shape)
         mirror = 2 * (normal * to_eye).sum(axis=1, keepdims=True) * normal - to_eye
-        receivers = receiver_texture(device, position, normal, mirror, lobe_sharpness(up[rows, 3]))
-        found: Gather = self._light.gather(receivers, glossy=True)
-        pixels = np.zeros((RECEIVER_WIDTH * receivers.size[1], 2), np.float32)
+        known = Known(position, normal)
+        for side in SIDES:
+            wanted = chosen if side == TILE else choose_receivers(place, up, pixel, view, side, side * side // 4, False)
+            found, valid = known.interpolated(wanted.rows, wanted.pixels)
+            rows = wanted.rows[~valid]
+            found[~valid] = self._light.gathered(
+                position[rows], normal[rows], CELLS, mirror[rows], lobe_sharpness(up[rows, 3])
+            )
+            if side > TILE:
+                known.add(wanted, side, found, ~valid)
+        return found
+
+    def _interpolate(
+        self,
+        view: SampleView,
+        lists: _Lists,
+        listed: Texture,
+        chosen: Receivers,
+        found: np.ndarray,
+        place: np.ndarray,
+        up: np.ndarray,
+    ) -> None:
+        """Brings what `found` (R, 8) tells of receivers to all groups, at places with normals (N, 4)."""
+        device, rows = self._device, chosen.rows
+        none = np.zeros((len(rows), 3), np.float32)
+        receivers = receiver_texture(device, place[rows, :3], up[rows, :3], none, none[:, 0])
+        size = RECEIVER_WIDTH, receivers.size[1]
+        pixels = np.zeros((size[0] * size[1], 2), np.float32)
         pixels[: len(rows)] = chosen.pixels
-        where = device.texture((RECEIVER_WIDTH, receivers.size[1]), "RG32F", pixels.reshape(-1))
+        where = device.texture(size, "RG32F", pixels.reshape(-1))
+        diffuse, glossy = (paged_texture(device, part, RECEIVER_WIDTH) for part in (found[:, :4], found[:, 4:]))
         height, width = chosen.tiles.shape[:2]
         tiles = device.texture((width, height), "RG32F", chosen.tiles.reshape(-1))
         textures = {
             "ps_list": listed, "ps_places": lists.textures["ps_places"], "ps_ups": lists.textures["ps_ups"],
             "ps_tiles": tiles, "ps_receivers": receivers, "ps_receiver_pixels": where,
-            "ps_found_diffuse": found.diffuse, "ps_found_glossy": found.glossy,
+            "ps_found_diffuse": diffuse, "ps_found_glossy": glossy,
         }  # fmt: skip
         device.draw(INTERPOLATE, lists.light_target, uniforms=view.record(INTERPOLATE_BLOCK), textures=textures)
-        for item in (found, receivers, where, tiles):
+        for item in (diffuse, glossy, receivers, where, tiles):
             item.release()
 
     def release(self) -> None:

@@ -20,10 +20,13 @@ class Receivers:
     tiles: np.ndarray  # (rows, columns, 2) float32: the first receiver of each tile, and how many it has
 
 
-def choose_receivers(place: np.ndarray, up: np.ndarray, pixel: np.ndarray, view: SampleView, side: int) -> Receivers:
+def choose_receivers(
+    place: np.ndarray, up: np.ndarray, pixel: np.ndarray, view: SampleView, side: int, fewest: int, every: bool
+) -> Receivers:
     """Chooses receivers among N groups.
 
     place, up: (N, 4) as of shaders/indirect/group_points.frag. pixel: (N,), row by row. `side`: of a tile, in pixels.
+    `fewest`: groups that a receiver stands for; `every`: tiles without so many of a kind have one of their largest.
     """
     width, height = view.size
     number = pixel.astype(np.int64)
@@ -46,7 +49,15 @@ def choose_receivers(place: np.ndarray, up: np.ndarray, pixel: np.ndarray, view:
     order = np.argsort((key << 12 | np.minimum(away * 4, 4095))[there], kind="stable")
     kept = np.flatnonzero(there)[order]
     new = np.append(True, key[kept][1:] != key[kept][:-1]) if len(kept) else np.zeros(0, bool)
-    chosen = kept[new]
+    first = np.flatnonzero(new)
+    number = np.diff(np.append(first, len(kept)))
+    large = number >= fewest
+    if every and len(first):
+        tiles_of = tile[kept[first]]
+        begin = np.flatnonzero(np.append(True, tiles_of[1:] != tiles_of[:-1]))
+        largest = np.repeat(np.maximum.reduceat(number, begin), np.diff(np.append(begin, len(first))))
+        large |= number == largest
+    chosen = kept[first[large]]
     counts = np.bincount(tile[chosen], minlength=rows * columns)
     starts = np.cumsum(counts) - counts
     tiles = np.stack([starts, counts], axis=1).astype(np.float32).reshape(rows, columns, 2)

@@ -17,7 +17,7 @@ from ....shading.interface import Interface
 from ...device.packing import PAGE_WIDTH, paged
 from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ..shading.background import world_block
-from ..shading.lighting import lighting_defines, lighting_samplers
+from ..shading.lighting import fog_defines, lighting_defines, lighting_samplers
 from ..tiles import TILE_DEFINE
 from ..uniforms import LENS_FIELDS
 from .tile_lists import TileLists
@@ -28,11 +28,12 @@ def defocus_program(
 ) -> Interface:
     """Returns the program that gathers the splats of each pixel's tile.
 
-    lighting: defines of the lights that are used; only those of the world matter here. transparent: the film is
+    lighting: defines of the lights that are used; without fog only those of the world matter. transparent: the film is
     transparent, so that no background is drawn. tint: splats transmit colours differently. holdout: some splats are
     holdouts. adaptive: pixels differ in their number of samples. tile: pixels along a side of a tile.
     """
-    world = tuple(name for name in lighting if name in ("PS_HAS_WORLD", "PS_HAS_ENVIRONMENT", "PS_BACKDROP"))
+    of_world = ("PS_HAS_WORLD", "PS_HAS_ENVIRONMENT", "PS_BACKDROP")
+    world = lighting if "PS_FOG" in lighting else tuple(name for name in lighting if name in of_world)
     named = {
         "PS_BACKGROUND": not transparent and "PS_BACKDROP" not in world,
         "PS_TINT": tint,
@@ -42,12 +43,19 @@ def defocus_program(
     read = ["splat_centre", "shape", "source", "list", "tiles", "focused", "focus"]
     read += ["tint"] * tint + ["counts"] * adaptive
     return Interface(
-        "defocus", fragment="defocus/gather.frag", block=world_block("Gather", world, LENS_FIELDS, (("float",
-        "sample_weight"),)), outputs=(("vec4", "out_combined"),), samplers=(*(("FLOAT_2D", f"ps_{name}") for name in
-        read), *lighting_samplers(world)), defines=(*lighting_defines(world), ("PS_TILE_SIZE", str(tile)),
-        *((TILE_DEFINE,) if adaptive else ()),
-                 *((name, "1") for name, on in named.items() if on)),
-    )  # fmt: skip
+        "defocus",
+        fragment="defocus/gather.frag",
+        block=world_block("Gather", world, LENS_FIELDS, (("float", "sample_weight"),)),
+        outputs=(("vec4", "out_combined"),),
+        samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(world)),
+        defines=(
+            *lighting_defines(world),
+            *fog_defines(world),
+            ("PS_TILE_SIZE", str(tile)),
+            *((TILE_DEFINE,) if adaptive else ()),
+            *((name, "1") for name, on in named.items() if on),
+        ),
+    )
 
 
 class Defocus:

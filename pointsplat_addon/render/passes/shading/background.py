@@ -5,12 +5,13 @@ from __future__ import annotations
 from ....shading.interface import Block, Interface
 from ..uniforms import BACKDROP_FIELDS, CAMERA_FIELDS, Fields, block
 from .averages import averaged_defines, averaged_outputs
-from .lighting import lighting_samplers
+from .lighting import LIGHT_FIELDS, SAMPLE_FIELDS, fog_defines, lighting_defines, lighting_samplers
 
 
 def world_block(name: str, world: tuple[str, ...], *groups: Fields) -> Block:
     """The uniforms of a pass that draws the world, with further fields."""
-    return block(name, CAMERA_FIELDS, BACKDROP_FIELDS if "PS_BACKDROP" in world else (), *groups)
+    fog: Fields = (*LIGHT_FIELDS, *(SAMPLE_FIELDS if "PS_SHADOW_SAMPLE" in world else ())) if "PS_FOG" in world else ()
+    return block(name, CAMERA_FIELDS, BACKDROP_FIELDS if "PS_BACKDROP" in world else (), fog, *groups)
 
 
 def background_program(
@@ -32,11 +33,12 @@ def background_program(
     named = {"PS_BACKGROUND": drawn, "PS_COVERAGE": coverage, "PS_EVERYWHERE": everywhere,
              "PS_AUXILIARY_ONLY": not combined, "PS_GROUPED": grouped, "PS_MATTES": mattes,
              "PS_TRAINED": trained and (drawn or "PS_BACKDROP" in world)}  # fmt: skip
-    names = (*world, *averaged_defines(passes), *(name for name, on in named.items() if on))
+    names = (*averaged_defines(passes), *(name for name, on in named.items() if on))
     read = () if everywhere or grouped else ("ps_centre", "ps_shape") if coverage else ("ps_centre",)
     codes = (("UINT_2D", "ps_second"),) if grouped and not mattes else ()
     return Interface(
         "background", fragment="shading/background.frag", block=world_block("Background", world),
         outputs=averaged_outputs(passes, combined), samplers=(*(("FLOAT_2D", name) for name in read), *codes,
-        *lighting_samplers(world)), defines=tuple((name, "1") for name in names),
+        *lighting_samplers(world)),
+        defines=(*lighting_defines(world), *fog_defines(world), *((name, "1") for name in names)),
     )  # fmt: skip

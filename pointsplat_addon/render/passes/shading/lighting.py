@@ -30,6 +30,15 @@ def looks_at_points(lighting: tuple[str, ...]) -> bool:
     return tables or "PS_SHADOW_SOFT" in lighting
 
 
+def fog_defines(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+    """Returns the defines of shaders that look up shadows along rays through fog, and at no surface of their own."""
+    if "PS_FOG" not in lighting or "PS_SHADOWS" not in lighting:
+        return ()
+    medium = ("PS_POINTS_OF_MEDIUM", str(POINTS_OF_MEDIUM))
+    spread = (("PS_SHADOW_SPREAD", "1"), medium) if looks_at_points(lighting) else ()
+    return (*spread, *((("PS_SHADOW_TAPS", str(MOST_LIGHT_POINTS)),) if "PS_SHADOW_SAMPLE" in lighting else ()))
+
+
 def lighting_samplers(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
     """Returns the samplers that lib/light/lights.glsl and lib/shadow read."""
     wanted = (

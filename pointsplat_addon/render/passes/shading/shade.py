@@ -17,6 +17,7 @@ from .lighting import (
     LIGHT_FIELDS,
     LIGHT_POINTS,
     MOST_LIGHT_POINTS,
+    POINTS_OF_MEDIUM,
     POINTS_OF_STRAND,
     SAMPLE_FIELDS,
     lighting_defines,
@@ -98,8 +99,10 @@ def shade_program(
     wide = "PS_SHADOW_HARD" not in lighting
     taps += (("PS_SHADOW_FIRST", str(FIRST_LIGHT_POINTS)),) if taps and wide and points > FIRST_LIGHT_POINTS else ()
     taps += (("PS_SHADOW_ONE_CELL", "1"),) if taps and samples >= ENOUGH_CELLS else ()
-    if grouped and flags["PS_STRANDS"] and looks_at_points(lighting):
+    fog = combined and "PS_FOG" in lighting
+    if ((grouped and flags["PS_STRANDS"]) or fog) and looks_at_points(lighting):
         taps += (("PS_SHADOW_SPREAD", "1"), ("PS_POINTS_OF_STRAND", str(POINTS_OF_STRAND)))
+        taps += (("PS_POINTS_OF_MEDIUM", str(POINTS_OF_MEDIUM)),) if fog else ()
     cells = (LATTICE_DEFINE, *member_defines(footprint)) if footprint else ()
     cells += (("PS_SHADOW_STRANDS", "1"),) if footprint and "PS_SHADOW_STRANDS" in lighting else ()
     return Interface(
