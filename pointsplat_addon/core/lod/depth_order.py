@@ -85,14 +85,14 @@ class Order:
         """(K,) float64: how far along the direction, from the world's origin, the slice of each splat lies."""
         return self.farthest - (self.slice + 0.5) * self.thickness
 
-    def stale(self, view_from_world: np.ndarray, cut: Cut) -> bool:
-        """Whether this view (4, 4) of this cut calls for another sort.
+    def stale(self, view_from_world: np.ndarray, cut: Cut, exact: bool = False) -> bool:
+        """Whether this view (4, 4) of this cut calls for another sort; `exact`: wherever it might change anything.
 
         It does for other splats, and for a camera turned so far that a splat may have moved by more than a slice
         relative to their common centre. Whether instances moved or geometry changed is for the caller to know.
         """
         turned = float(np.linalg.norm(_direction(view_from_world) - self.direction))
-        return bool(turned * self.radius > self.thickness) or not _same(cut, self.cut)
+        return bool(turned * self.radius > (0.0 if exact else self.thickness)) or not _same(cut, self.cut)
 
 
 def sort_cut(

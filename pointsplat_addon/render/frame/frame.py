@@ -117,6 +117,7 @@ class Frame:
                 frame_plan.prepared,
                 plan,
                 motion,
+                not (request.interactive or request.settings.budget != "NONE"),
                 frame_plan.shadows,
                 frame_plan.captured_shadows,
                 frame_plan.matte_shadows,

@@ -31,18 +31,18 @@ BALLS_PER_PIXEL = 4  # of the picture: nodes are fewer only where balls are more
 
 
 def with_hierarchy_if_it_pays(view: View, points: PointSet, view_from_object: np.ndarray) -> PointSet:
-    """Returns the points with an octree, if it would save more time than building it takes, or is already built. What
-    is translucent in final pictures does not depend on what was drawn before them: other machines draw the others.
+    """Returns the points with an octree, if it would save more time than building it takes, or, in a view that
+    remembers, is already built.
 
     `view_from_object`: (I, 4, 4) of the instances that draw the points. In an interactive view the octree is built on
     another thread and the points are returned without it, unless they are too many to be drawn.
     """
     plain, points, store = points, with_material_constants(points, view.scene.materials, view.store), view.store
-    key = Key(Kind.HIERARCHY, points.key)
+    key = _key(points, view.remembers)
     opaque = plain.cloud.opacity is None and plain.cloud.extinction is None
     if opaque and view.settings.technique == "VISIBILITY":
         return plain
-    if key not in store or not (opaque or view.interactive):
+    if key not in store or not view.remembers:
         if not _pays(view, plain, view_from_object):
             return plain
         bare = len(plain.cloud) * len(view_from_object)
@@ -53,12 +53,12 @@ def with_hierarchy_if_it_pays(view: View, points: PointSet, view_from_object: np
         ):
             store.make_later(key, lambda: _hierarchy(points, store))
             return plain
-    return _with_hierarchy(points, store)
+    return _with_hierarchy(points, store, view.remembers)
 
 
 def ball_tree_if_it_pays(view: View, points: PointSet, view_from_object: np.ndarray) -> BallTree | None:
-    """Returns the nodes over opaque balls that the visibility buffer draws, if they are already built or would save
-    more time than building them takes.
+    """Returns the nodes over opaque balls that the visibility buffer draws, if they would save more time than building
+    them takes or, in a view that remembers, are already built.
 
     `view_from_object`: (I, 4, 4) of the instances that draw the points. In an interactive view the nodes are built on
     another thread, unless the balls are too many to be drawn without.
@@ -68,7 +68,7 @@ def ball_tree_if_it_pays(view: View, points: PointSet, view_from_object: np.ndar
         return None
     points = with_material_constants(points, view.scene.materials, store)
     key = Key(Kind.BALL_TREE, points.key)
-    if key not in store:
+    if key not in store or not view.remembers:
         _, _, width, height = view.camera.window
         drawn = len(cloud) * len(view_from_object)
         if drawn < BALLS_PER_PIXEL * width * height:
@@ -93,7 +93,7 @@ def points_once_they_have_nodes(view: View, name: Key, make: Callable[[], PointS
     def build() -> Key:
         return _with_hierarchy(with_material_constants(make(), view.scene.materials, store), store).key
 
-    if known in store:
+    if known in store and view.remembers:
         key = store.lookup(known, build)
         if key in store:
             return make()
@@ -112,7 +112,8 @@ def with_hierarchy_for_defocus(view: View, points: PointSet, always: bool) -> Po
     """Returns points with a hierarchy, if they are so many that it saves time when out of focus, or if `always`."""
     if points.hierarchy is not None or (len(points.cloud) < MIN_POINTS_FOR_DEFOCUS and not always):
         return points
-    return _with_hierarchy(with_material_constants(points, view.scene.materials, view.store), view.store)
+    filled = with_material_constants(points, view.scene.materials, view.store)
+    return _with_hierarchy(filled, view.store, view.remembers)
 
 
 def _pays(view: View, points: PointSet, view_from_object: np.ndarray) -> bool:
@@ -155,10 +156,19 @@ def with_material_constants(points: PointSet, table: MaterialTable, store: Store
     return replace(points, key=key, cloud=made, family=family)
 
 
-def _with_hierarchy(points: PointSet, store: Store) -> PointSet:
-    """Returns points with their octree, which is built now if it is not cached."""
-    key = Key(Kind.HIERARCHY, points.key)
-    return replace(points, key=key, hierarchy=store.lookup(key, lambda: _hierarchy(points, store)))
+def _key(points: PointSet, remembers: bool) -> Key:
+    """That of the octree of points: one that may come from another pose has another key than one of their own."""
+    return Key(Kind.HIERARCHY, points.key, other=() if remembers or points.family is None else "own")
+
+
+def _with_hierarchy(points: PointSet, store: Store, remembers: bool = True) -> PointSet:
+    """Returns points with their octree, which is built now if it is not cached. `remembers`: see View."""
+    key = _key(points, remembers)
+
+    def make() -> Hierarchy:
+        return _hierarchy(points, store) if remembers else store.build_hierarchy(points.cloud)
+
+    return replace(points, key=key, hierarchy=store.lookup(key, make))
 
 
 def _hierarchy(points: PointSet, store: Store) -> Hierarchy:

@@ -30,3 +30,9 @@ class View:
     blur: Blur | None  # of splats that are out of focus; None: no primitive becomes such splats
     coarse: bool = False  # the time budget does not allow one sample at the requested tolerance
     warnings: list[str] = field(default_factory=list)  # steps append to it; there may be duplicates
+
+    @property
+    def remembers(self) -> bool:
+        """Whether what earlier views have left in the store may decide what is drawn. A final picture is the same,
+        to the bit, whatever was drawn before it, on this machine or another; one with a budget never is."""
+        return self.interactive or self.settings.budget != "NONE"

@@ -58,15 +58,16 @@ def test_an_objects_own_choice_wins(primitive, polygons):
         assert len(prepared(of(cube_mesh("chosen cube"), primitive, distance)).polygons) == polygons
 
 
-def test_samples_follow_the_distance_in_octaves_and_are_only_refined():
+@pytest.mark.parametrize("interactive", [True, False])
+def test_samples_follow_the_distance_in_octaves_and_viewports_only_refine_them(interactive):
     store, mesh = Store(), cube_mesh("refined cube")
     keys = {}
     for distance in (40.0, 39.0, 10.0, 38.0):
-        found = prepared(of(mesh, "POINTS", distance), store)
+        found = prepared(of(mesh, "POINTS", distance), store, interactive=interactive)
         keys[distance] = found.point_sets[0].key, len(found.point_sets[0])
     assert keys[40.0] == keys[39.0]
     assert keys[10.0][1] > 4 * keys[40.0][1]  # a quarter of the spacing in two dimensions: 16 times, less rims
-    assert keys[38.0] == keys[10.0]
+    assert keys[38.0] == keys[10.0 if interactive else 40.0]
 
 
 def test_an_objects_spacing_is_used_as_it_is():
@@ -99,12 +100,13 @@ def test_a_tree_is_built_where_it_leaves_out_most_points_and_pays_by_many_sample
     assert prepared(far, samples=1000).cut.splats < 100
 
 
-def test_a_tree_that_is_there_is_used():
+def test_a_tree_that_is_there_is_used_by_viewports_while_final_pictures_do_not_depend_on_those_before():
     store = Store()
     cloud = replace(clouds.sphere_cloud(20000), radii=np.full((20000, 1), 1e-2, np.float32))
     near = Case(build.scene((build.points("dense again", cloud), build.moved())), cameras.camera())
     prepared(at_distance(near, 4000.0), store, samples=1000)
-    assert prepared(near, store).point_sets[0].hierarchy is not None
+    assert prepared(near, store, interactive=True).point_sets[0].hierarchy is not None
+    assert prepared(near, store).point_sets[0].hierarchy is None
 
 
 def test_what_is_translucent_in_final_pictures_does_not_depend_on_those_before():
@@ -235,17 +237,18 @@ def test_a_store_keeps_what_is_too_large_for_it_until_the_next_one_comes():
 
 
 def test_another_transfer_function_keeps_the_tree_and_the_kernels():
+    """Where earlier pictures may count, such as with a budget."""
     rng = np.random.default_rng(1)
     index = np.stack(np.meshgrid(*[np.arange(20)] * 3, indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
     values = rng.random(len(index)).astype(np.float32)
-    store = Store()
+    store, budgeted = Store(), Settings(technique="IMAGE_SPACE", budget="TIME")
 
     def seen(high):
         transfer = Transfer("density", 0.0, high, np.linspace([0, 0, 0, 0], [1, 1, 1, 1], 8).astype(np.float32))
         volume = Volume("lattice of noise", "Noise", index, np.eye(4), {"density": values}, transfer=transfer)
         made = build.scene((Geometry(f"noise up to {high}", "Noise", volume=volume), build.moved(scale=0.01)))
         made, _ = separate_translucent(made, store)
-        layer = prepare(made, cameras.camera((0, -40, 0)), Settings(technique="IMAGE_SPACE"), 1000, store).translucent
+        layer = prepare(made, cameras.camera((0, -40, 0)), budgeted, 1000, store).translucent
         (points,) = layer.point_sets.values()
         assert points.hierarchy is not None
         return points.hierarchy

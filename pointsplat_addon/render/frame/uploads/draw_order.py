@@ -31,11 +31,12 @@ class SortedDrawList:
         world_from_object: np.ndarray,
         view_from_world: np.ndarray,
         key: tuple,
+        exact: bool,
     ) -> None:
-        """Sorts what `layer` shows for a view, unless the latest order is good enough. `key`: what is drawn, and
-        where it stands."""
+        """Sorts what `layer` shows for a view, unless the latest order is good enough, or, where `exact`, the same.
+        `key`: what is drawn, and where it stands."""
         known = self._order if self.texture is not None and key == self._key else None
-        if known is not None and not known.stale(view_from_world, layer.cut):
+        if known is not None and not known.stale(view_from_world, layer.cut, exact):
             return
         entries = {row: points.hierarchy or points.cloud for row, points in layer.point_sets.items()}
         self._order = depth_order.sort_cut(

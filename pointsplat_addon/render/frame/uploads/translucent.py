@@ -36,7 +36,10 @@ class TranslucentUploads:
         prepared: Prepared,
         plan: Plan,
         lighting: LightingUploads,
+        exact: bool,
     ) -> None:
+        """`exact`: what this view alone would show, to the bit; else what an earlier one left, where that will do."""
+        self._exact = exact
         self._scope, self._scene, self._plan, self._lighting = scope, scene, plan, lighting
         self._order_key = scope.kept.own_key(Kind.DRAW_ORDER)
         self._shares_key = scope.kept.own_key(Kind.LIGHT_SHARES)
@@ -100,7 +103,7 @@ class TranslucentUploads:
             texture, self.count = scope.texture(draw_list_rows(texel, instance), 2), len(texel)
         else:
             texture = self._sort(page, key, camera)
-            self._find_shared_lights(page, key)
+            self._find_shared_lights(page, key, camera)
         self.textures = {**page.textures, "ps_order": texture}
 
     def _sort(self, page: TranslucentPage, key: Key, camera: Camera) -> Texture:
@@ -109,14 +112,14 @@ class TranslucentUploads:
         draws: SortedDrawList = self._scope.lookup(self._order_key, SortedDrawList)
         before, sorts = time.perf_counter(), draws.sorts
         depends_on = (key, layer.set_of_instance.tobytes(), matrices.tobytes())
-        draws.update(self._scope.device, page, layer, matrices, camera.view_from_world, depends_on)
+        draws.update(self._scope.device, page, layer, matrices, camera.view_from_world, depends_on, self._exact)
         if draws.sorts > sorts:
             self.sort_ms = 1000 * (time.perf_counter() - before)
         self.count = draws.count
         assert draws.texture is not None
         return draws.texture
 
-    def _find_shared_lights(self, page: TranslucentPage, key: Key) -> None:
+    def _find_shared_lights(self, page: TranslucentPage, key: Key, camera: Camera) -> None:
         """Finds whether the light that reaches each splat can be kept for all cameras: each splat has one instance, and
         lights that cast shadows are few."""
         layer, lights = self._layer, len(self._scene.lights)
@@ -131,5 +134,7 @@ class TranslucentUploads:
             first = page.first[points.key]
             instance[first : first + len(points)] = row
         placed = (layer.set_of_instance.tobytes(), self._scene.instances.world_from_object.tobytes())
-        self._shares_depend_on = (key, self._lighting.shadow_key, *placed)
+        # They hold for all cameras, but for their last bits: they are computed in view space.
+        seen = camera.view_from_world.tobytes() if self._exact else b""
+        self._shares_depend_on = (key, self._lighting.shadow_key, *placed, seen)
         self.shared_lights, self._instance_of_splat = lights, instance

@@ -37,12 +37,14 @@ class Uploads:
         prepared: Prepared,
         plan: Plan,
         motion: bool = False,
+        exact: bool = False,
         shadows: Shadows | None = None,
         captured_shadows: Mapping[int, Shadows | None] | None = None,
         matte_shadows: Shadows | None = None,
     ) -> None:
-        """`motion`: a pass asks how instances move. `captured_shadows`: that captured splats receive, by
-        geometry; `matte_shadows`: that mattes do. DeviceError: a texture is too large, or memory is full."""
+        """`motion`: a pass asks how instances move. `exact`: nothing may depend on earlier frames.
+        `captured_shadows`: that captured splats receive, by geometry; `matte_shadows`: that mattes do.
+        DeviceError: a texture is too large, or memory is full."""
         self.scene, self.camera, self.prepared = scene, camera, prepared
         self._middle = prepared.view_from_object
         self._scope = UploadScope(kept)
@@ -68,7 +70,7 @@ class Uploads:
                 lighting = self._captured_lighting
                 self.captured = CapturedUploads(self._scope, store, scene, camera, prepared, plan, lighting)
             if plan.translucent is not None and not plan.translucent.alone:
-                self.translucent = TranslucentUploads(self._scope, scene, camera, prepared, plan, self.lighting)
+                self.translucent = TranslucentUploads(self._scope, scene, camera, prepared, plan, self.lighting, exact)
             self._upload_view()
             if motion:
                 rows = previous_clip_from_view(scene, camera, prepared.view_from_object)

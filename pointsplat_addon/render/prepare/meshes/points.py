@@ -261,14 +261,14 @@ def _coarsest_shared_spacing(measured: MeasuredMesh) -> float:
 
 
 def _points_at_octave(view: View, measured: MeasuredMesh, needed: float, octave: int) -> PointSet:
-    """Returns samples of a mesh `octave` octaves coarser than the finest spacing that was needed so far.
+    """Returns samples of a mesh `octave` octaves coarser than the spacing `needed`.
 
-    Samples are only ever refined: the spacing is `needed` or, if an earlier view needed a finer one, that one.
+    In views that remember, samples are only ever refined: if an earlier view needed a finer spacing, it is that one.
     """
     geometry, mesh, sampling_key, store = measured.geometry, measured.mesh, measured.sampling_key, view.store
     spacing = geometry.spacing if geometry.spacing > 0 else needed
     asked = Key(Kind.FINEST_SPACING, sampling_key, spacing=geometry.spacing)
-    known = store.finest_spacing(asked, np.inf)
+    known = store.finest_spacing(asked, np.inf) if view.remembers else np.inf
     measures = measured.measures
     if geometry.spacing <= 0 and spacing < known:
         octave_of, most = quantise_spacing(spacing), max_samples(view.settings.tolerance)
@@ -276,7 +276,7 @@ def _points_at_octave(view: View, measured: MeasuredMesh, needed: float, octave:
             Key(Kind.LIMITED_SPACING, sampling_key, spacing=octave_of, other=most),
             lambda: limit_spacing(mesh, octave_of, most, measures=measures),
         )
-    spacing = store.finest_spacing(asked, spacing) * 2.0**octave
+    spacing = (store.finest_spacing(asked, spacing) if view.remembers else spacing) * 2.0**octave
     needed *= 2.0**octave
     # Vertices may be farther apart than samples: their disks cover the mesh whatever length its edges have.
     look = digest(mesh, view.scene.materials)
