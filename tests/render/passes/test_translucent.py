@@ -331,19 +331,17 @@ def test_what_reaches_a_splat_is_the_same_whether_it_is_kept_or_not():
     assert np.abs(kept - looked_up).max() < 2e-3 * kept.max()  # half floats
 
 
-@pytest.mark.parametrize("interactive", [True, False])
-def test_tables_are_made_once_for_all_views(interactive):
+def test_tables_are_made_once_for_all_views():
     made = lit_floor((points("fog once", voxels(1.5, 0.5, 6, 1.0)), moved()))
     device = NullDevice()
-    renderer, settings = Renderer(device, STORE), Settings(technique="IMAGE_SPACE")
+    renderer = Renderer(device, STORE)
     tables = []
     for eye in ((0, -4, 0), (2, -3, 1)):
-        renderer.render(made, Request(camera(eye), settings, COMBINED, 1, interactive=interactive))
+        renderer.render(made, Request(camera(eye), Settings(technique="IMAGE_SPACE"), COMBINED, 1))
         call = next(c for c in device.calls[::-1] if c.interface.name == "light")
         tables.append(call.textures["ps_shadow_tables"])
     assert tables[0] is tables[1]
-    # Viewports do not look up again what reaches each splat; final pictures do, for the last bits.
-    assert device.names.count("reach") == (1 if interactive else 2)
+    assert device.names.count("reach") == 1  # nor is it looked up again what reaches each splat
     brighter = replace(made, lights=(replace(LAMP, color=np.full(3, 9.0)),))
     renderer.render(brighter, Request(camera(), Settings(technique="IMAGE_SPACE"), COMBINED, 1))
     call = next(c for c in device.calls[::-1] if c.interface.name == "light")

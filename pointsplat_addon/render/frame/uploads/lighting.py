@@ -141,12 +141,21 @@ class LightingUploads:
         if self._plan.lighting or self._plan.world:
             rows = light_texture(scene.lights, scene.world, camera.view_from_world, *self._surface, near=camera.near)
             self._lights = self._scope.view_texture(rows)
-        if self._tables is not None:
-            self._table_records = self._scope.view_texture(self._tables.packed.records(camera.view_from_world))
-        if self._maps is not None:
-            self._map_records = self._scope.view_texture(self._maps.records(camera.view_from_world))
-        if self._panes is not None:
-            self._pane_records = self._scope.view_texture(self._panes.records(camera.view_from_world))
+        records = self._records(camera.view_from_world)
+        self._table_records = records["shadow_lights"]
+        self._map_records = records["map_lights"]
+        self._pane_records = records["pane_lights"]
+
+    def _records(self, view_from_world: np.ndarray) -> dict[str, Texture | None]:
+        """Uploads the records of shadows in the space of a view, (4, 4), until the view is released."""
+        tables = None if self._tables is None else self._tables.packed
+        of = {"shadow_lights": tables, "map_lights": self._maps, "pane_lights": self._panes}
+        upload = self._scope.view_texture
+        return {name: None if one is None else upload(one.records(view_from_world)) for name, one in of.items()}
+
+    def textures_in(self, view_from_world: np.ndarray) -> dict[str, Texture]:
+        """Returns what shading reads, by sampler name, with shadows in the space of another view, (4, 4)."""
+        return self.textures | bound_textures(**self._records(view_from_world))
 
     def _hair_escape(self) -> np.ndarray:
         """Returns how much light leaves the hair of each material, (M,): of the strands with most hairs, in view or

@@ -75,7 +75,13 @@ class TranslucentUploads:
             size, data = paged(draw_list_rows(np.arange(count), self._instance_of_splat), 2)
             order = device.texture(size, "RG32F", data)
             uniforms = view.record_of(program.block, count=count)
-            textures = {**self.textures, **self._lighting.textures, "ps_order": order}
+            # In a space that is no camera's, so that shares are the same to the bit whichever camera is the first.
+            matrices = self._scene.instances.world_from_object
+            space = np.eye(4)
+            space[:3, 3] = -matrices[self._layer.set_of_instance >= 0, :3, 3].mean(axis=0)
+            rows = instance_rows(space @ matrices, origins(self._layer), self._scene.instances.holdout)
+            placed = {"ps_instances": self._scope.view_texture(rows), **self._lighting.textures_in(space)}
+            textures = {**self.textures, **placed, "ps_order": order}
             try:
                 run("reach", lambda: device.draw(program, target, uniforms=uniforms, textures=textures))
             finally:
@@ -103,7 +109,7 @@ class TranslucentUploads:
             texture, self.count = scope.texture(draw_list_rows(texel, instance), 2), len(texel)
         else:
             texture = self._sort(page, key, camera)
-            self._find_shared_lights(page, key, camera)
+            self._find_shared_lights(page, key)
         self.textures = {**page.textures, "ps_order": texture}
 
     def _sort(self, page: TranslucentPage, key: Key, camera: Camera) -> Texture:
@@ -119,7 +125,7 @@ class TranslucentUploads:
         assert draws.texture is not None
         return draws.texture
 
-    def _find_shared_lights(self, page: TranslucentPage, key: Key, camera: Camera) -> None:
+    def _find_shared_lights(self, page: TranslucentPage, key: Key) -> None:
         """Finds whether the light that reaches each splat can be kept for all cameras: each splat has one instance, and
         lights that cast shadows are few."""
         layer, lights = self._layer, len(self._scene.lights)
@@ -134,7 +140,5 @@ class TranslucentUploads:
             first = page.first[points.key]
             instance[first : first + len(points)] = row
         placed = (layer.set_of_instance.tobytes(), self._scene.instances.world_from_object.tobytes())
-        # They hold for all cameras, but for their last bits: they are computed in view space.
-        seen = camera.view_from_world.tobytes() if self._exact else b""
-        self._shares_depend_on = (key, self._lighting.shadow_key, *placed, seen)
+        self._shares_depend_on = (key, self._lighting.shadow_key, *placed)
         self.shared_lights, self._instance_of_splat = lights, instance
