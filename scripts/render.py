@@ -33,7 +33,6 @@ sys.path.insert(0, str(ROOT))  # run as a file, also by Blender: neither knows t
 
 from scripts.common.process import run  # noqa: E402
 from scripts.common.version import version_of  # noqa: E402
-from scripts.common.whole import is_whole  # noqa: E402
 
 FORMATS = {".png": "PNG", ".exr": "OPEN_EXR"}
 LARGEST_SIDE = 65536  # Blender's own limit of scene.render.resolution_x
@@ -226,6 +225,8 @@ def render_frame(scene, frame: int, path: Path, engine, strict: bool = False) ->
     or, where `strict`, a file is missing.
     """
     import bpy
+
+    from pointsplat_addon.formats.whole_image import is_whole
 
     print(f"Fra:{frame}", flush=True)
     scene.frame_set(frame)

@@ -6,7 +6,7 @@ import atexit
 
 import bpy
 
-from . import caches, engine
+from . import caches, command_line, engine
 from .scans import linked_operators as linked
 from .scans import operators as scans
 from .scans import picking
@@ -53,6 +53,7 @@ def register() -> None:
     splats.register()
     panels.register()
     caches.register()
+    command_line.register()
     if bpy.app.module:
         # As a Python package, Blender 4.5 hangs at exit while an engine is registered. The desktop program does
         # not, and has taken its types away by then.
@@ -67,6 +68,7 @@ def unregister() -> None:
         return
     _registered = False
     atexit.unregister(unregister)
+    command_line.unregister()
     panels.unregister()
     splats.unregister()
     picking.unregister()

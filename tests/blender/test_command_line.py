@@ -42,6 +42,37 @@ def test_a_script_s_render_that_raises_ends_nothing() -> None:
     assert (code, said.split()[-2:]) == (0, ["went", "on"])
 
 
+WRITTEN = """
+import os, sys
+from types import SimpleNamespace
+from pointsplat_addon.host import command_line
+path = os.environ["PICTURE"]
+scene = SimpleNamespace(frame_current=7, render=SimpleNamespace(engine="POINTSPLAT", frame_path=lambda frame: path))
+app = SimpleNamespace(module=False, background=True)
+command_line.bpy = SimpleNamespace(app=app, context=SimpleNamespace(scene=scene), path=SimpleNamespace(abspath=str))
+command_line.check_written(scene)
+print("went on", flush=True)
+os._exit(0)
+"""
+
+
+@pytest.mark.parametrize("ending", ["png", "exr"])
+@pytest.mark.parametrize("cut", [0, 1, 700])
+def test_a_file_that_was_cut_off_is_not_left_behind(tmp_path: Path, ending: str, cut: int) -> None:
+    import bpy
+
+    path, image = tmp_path / f"a b.{ending}", bpy.data.images.new("picture", 64, 64)
+    image.generated_type, image.file_format = "COLOR_GRID", {"png": "PNG", "exr": "OPEN_EXR"}[ending]
+    image.save(filepath=str(path))
+    path.write_bytes(path.read_bytes()[: path.stat().st_size - cut])
+    command = [sys.executable, "-c", WRITTEN, "-b", "a.blend", "-f", "7"]
+    environment = {**os.environ, "PICTURE": str(path)}
+    found = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False, env=environment)
+    assert found.returncode == (1 if cut else 0), found.stderr
+    assert path.exists() == (cut == 0)
+    assert ("frame 7: the picture could not be written whole" in found.stdout) == bool(cut)
+
+
 THREADS = """
 import os
 from types import SimpleNamespace

@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from pointsplat_addon.formats.whole_image import is_whole
 from scripts.common.farm_task import publish
 from scripts.common.version import version_of
-from scripts.common.whole import is_whole
 
 ROOT = Path(__file__).resolve().parents[2]
 
