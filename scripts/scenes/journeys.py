@@ -62,7 +62,7 @@ class Journey:
     cameras: list[Camera]
     whole: Scene | None = None  # clouds drawn with all their points; None: meshes as polygons
     costs: Costs | None = None  # None: the device's
-    grown: bool = False  # the octree is there from the first frame, as in a viewport or a long animation
+    grown: bool = False  # the octree is there from the first frame, as in a viewport
 
     def changes(self, renderer: Renderer, settings: Settings, samples: int, floor: int = 0) -> list[Change]:
         renderer.store.clear()

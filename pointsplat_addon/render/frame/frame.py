@@ -31,6 +31,7 @@ from ..plan.frame_plan import make_frame_plan
 from ..plan.request import Request
 from .data import DataPasses
 from .defocus import OutOfFocus, in_focus
+from .indirect.light import GroupsInIndirectLight
 from .lens_samples import LensSamples
 from .resources import FrameResources
 from .sample_positions import is_checkpoint, lattice_offsets, offsets
@@ -39,7 +40,6 @@ from .surfels import gbuffer_textures
 from .targets import Targets
 from .translucent import LitTranslucent, Translucent, lighting_of_sample
 from .uploads.uploads import Uploads
-from .visibility.indirect import GroupsInIndirectLight
 from .visibility.layers import Visibility
 from .visibility.targets import VisibilityTargets
 from .visibility.tiles import cells_of_tile

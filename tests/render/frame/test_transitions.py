@@ -43,9 +43,10 @@ def test_a_steady_dolly_shows_no_pop(name, start, primitive, seen):
 )
 def test_frames_in_which_levels_change_do_not_stand_out(name, start, stop, step, tolerance, technique):
     settings = Settings(use_shadows=False, tolerance=tolerance, technique=technique)
-    found = JOURNEYS[name][0](start, stop, step, 128).changes(drawing.opengl(), settings, 16)
+    samples = 80 if technique == "IMAGE_SPACE" else 16  # so many that an octree pays
+    found = JOURNEYS[name][0](start, stop, step, 128).changes(drawing.opengl(), settings, samples)
     events, steady = ([b.whole for a, b in pairwise(found) if (a.drawn != b.drawn) == e] for e in (True, False))
-    # Measured at tolerance 1: 0.0, -0.7, 0.2; lattice at 4: -0.9, 0.6, -1.3, where all change at once 3.9, 4.6, 3.9.
+    # Measured at tolerance 1: 0.0, -0.7, 0.2; lattice at 4: 0.5, 0.6, -1.3, where all change at once 3.9, 4.6, 3.9.
     assert max(events) <= max(steady) + 2  # of 255
 
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from pointsplat_addon.render.frame.visibility.known import Known
-from pointsplat_addon.render.frame.visibility.receivers import Receivers
+from pointsplat_addon.render.frame.indirect.known import Known
+from pointsplat_addon.render.frame.indirect.receivers import Receivers
 
 SIDE, TILES = 8, 10  # pixels, of which each is one unit of a plane
 

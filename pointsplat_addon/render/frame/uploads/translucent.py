@@ -72,15 +72,15 @@ class TranslucentUploads:
         count = len(self._instance_of_splat)
 
         def light(target: Target) -> None:
-            size, data = paged(draw_list_rows(np.arange(count), self._instance_of_splat), 2)
-            order = device.texture(size, "RG32F", data)
-            uniforms = view.record_of(program.block, count=count)
             # In a space that is no camera's, so that shares are the same to the bit whichever camera is the first.
             matrices = self._scene.instances.world_from_object
             space = np.eye(4)
             space[:3, 3] = -matrices[self._layer.set_of_instance >= 0, :3, 3].mean(axis=0)
             rows = instance_rows(space @ matrices, origins(self._layer), self._scene.instances.holdout)
             placed = {"ps_instances": self._scope.view_texture(rows), **self._lighting.textures_in(space)}
+            uniforms = view.record_of(program.block, count=count)
+            size, data = paged(draw_list_rows(np.arange(count), self._instance_of_splat), 2)
+            order = device.texture(size, "RG32F", data)
             textures = {**self.textures, **placed, "ps_order": order}
             try:
                 run("reach", lambda: device.draw(program, target, uniforms=uniforms, textures=textures))

@@ -22,10 +22,10 @@ from ...passes.uniforms import SampleView
 from ...passes.visibility.polygon_ids import PolygonCover
 from ...passes.visibility.splat_ids import SplatCover
 from ...plan.plan import Plan
+from ..indirect.light import GroupsInIndirectLight
 from ..shading import Shading
 from ..uploads.uploads import Uploads
 from .identities import identities
-from .indirect import GroupsInIndirectLight
 from .occluders import Occluders
 from .polygon_draws import draws_of, polygons_in_view
 from .strand_draws import strand_draws
