@@ -10,19 +10,13 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-import pointsplat_addon
 from scripts.common.volume_objects import medium, surface
 from scripts.studies import media
 
 SIZE = 48
 
 
-@pytest.fixture(autouse=True)
-def engine():
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    pointsplat_addon.register()
-    yield
-    pointsplat_addon.unregister()
+pytestmark = pytest.mark.usefixtures("empty_file")
 
 
 def studio() -> bpy.types.Scene:

@@ -9,19 +9,13 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-import pointsplat_addon
 from scripts.common.volume_objects import surface
 from scripts.studies import media
 
 SIZE = 64
 
 
-@pytest.fixture(autouse=True)
-def engine():
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    pointsplat_addon.register()
-    yield
-    pointsplat_addon.unregister()
+pytestmark = pytest.mark.usefixtures("empty_file")
 
 
 def fog(scene: bpy.types.Scene, node: str, **inputs) -> bpy.types.Node:

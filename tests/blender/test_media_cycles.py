@@ -9,16 +9,9 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 
-import pointsplat_addon
 from scripts.studies import media
 
-
-@pytest.fixture(autouse=True)
-def engine():
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    pointsplat_addon.register()
-    yield
-    pointsplat_addon.unregister()
+pytestmark = pytest.mark.usefixtures("empty_file")
 
 
 # ---------------------------------------------------------------------------- the reference itself

@@ -214,7 +214,8 @@ def test_nothing_leaks_through_what_is_sharp_and_sharp_things_do_not_leak(primit
 @pytest.mark.parametrize("primitive", ["POLYGONS", "POINTS"])
 def test_what_is_blurred_before_something_sharp_lets_it_through_at_its_rim_alone(primitive):
     """A dark card before a chequered wall in focus: where no disk of confusion reaches, the wall is as sharp as always;
-    three pixels within what the whole lens sees covered, nothing of it shows. Truth: polygons through the lens."""
+    three pixels within what the whole lens sees covered, nothing of it shows. Truth: polygons through the lens. Points
+    are finer than a pixel, so that they show where the chequers' colours change."""
     table = materials(2, base_color=[[0.9, 0.9, 0.9], [0.02, 0.02, 0.02]], roughness=np.ones(2), specular=np.zeros(2))
     card = replace(plane_mesh(f"near card {primitive}", 0.5, 32), material=None, materials=(1,))
     wall = squares(f"sharp wall {primitive}", 2.0, 16)
@@ -222,7 +223,7 @@ def test_what_is_blurred_before_something_sharp_lets_it_through_at_its_rim_alone
         build.scene((mesh(card, kind), moved((0, -1.5, 0))), (mesh(wall, kind), moved()), table=table)
         for kind in (primitive, "POLYGONS")
     )
-    case, aperture = Case(scene, camera(resolution=(96, 96)), SPLAT), Aperture(0.3, 4.0)
+    case, aperture = Case(scene, camera(resolution=(96, 96)), replace(SPLAT, tolerance=0.5)), Aperture(0.3, 4.0)
     focal = case.camera.pixel_from_view()[0]
     disk = focal * 0.3 * (1 / 2.5 - 1 / 4)
     splat = drawn(case, aperture).pixels["combined"]
@@ -236,7 +237,8 @@ def test_what_is_blurred_before_something_sharp_lets_it_through_at_its_rim_alone
     outer[around, around] = False
     sharp = drawn(case, None).pixels["combined"]
     assert np.abs(splat - sharp).max(axis=-1)[outer].max() <= 2 / 255  # measured 0
-    assert error.max() < {"POLYGONS": 0.04, "POINTS": 0.18}[primitive]  # measured 0.032 and 0.165: the rim
+    # Measured: 0.032 and 0.102; at a tolerance of one pixel points have 0.165, along the chequers.
+    assert error.max() < {"POLYGONS": 0.04, "POINTS": 0.15}[primitive]
 
 
 # Against samples through the lens

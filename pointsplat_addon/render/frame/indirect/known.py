@@ -18,7 +18,7 @@ class Known:
     """Receivers of several sizes of squares, with what they have gathered."""
 
     def __init__(self, position: np.ndarray, normal: np.ndarray) -> None:
-        """Of all groups, (N, 3) each."""
+        """position, normal: (N, 3) float32 each, of all groups of a picture, from the eye along the world's axes."""
         self._position, self._normal = position, normal
         self._sizes: list[tuple[Receivers, int, np.ndarray, np.ndarray]] = []
 
