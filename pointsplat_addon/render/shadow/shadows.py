@@ -1,8 +1,8 @@
 """Makes what casts the shadows of a scene's lights, once for all views, and caches it by lights and geometry.
 
-Lights see opaque meshes and clouds in depth maps, which the device draws (maps.py), and in the visibility buffer strands,
-too. All else casts into tables, sampled as densely as these resolve, independent of any view: what light passes through,
-strands as wide as ropes, and by other techniques all strands.
+Lights see opaque meshes and clouds in depth maps, which the device draws (maps.py), and strands, too, where the
+visibility buffer draws. All else casts into tables, sampled as densely as these resolve, independent of any view: what
+light passes through, strands as wide as ropes, and by other techniques all strands.
 """
 
 from __future__ import annotations
