@@ -248,7 +248,7 @@ def draw_missing(client: distributed.Client, film: Film) -> None:
             others = [address for address in able if address not in tried[unit]]
             # Anyone may draw it where all of these are gone by then.
             where = {"workers": others, "allow_other_workers": True} if refused or tried[unit] else {}
-            running[client.submit(farm_task.draw, film.job, *unit, pure=False, **where)] = unit
+            running[client.submit(farm_task.draw, film.job | {"prepare": alone}, *unit, pure=False, **where)] = unit
         for future in _ended(list(running)):
             unit = running.pop(future)
             found, address = _result(future, unit)

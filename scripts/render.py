@@ -2,7 +2,7 @@
 
     python scripts/render.py FILE.blend --output OUT.png|OUT.exr [--frame N | --frames A-B] [--size WxH]
         [--camera NAME] [--device auto|blender_gpu|opengl] [--set NAME=VALUE ...] [--threads N] [--report R.json]
-        [--cache DIR] [--strict] [--require VERSION] [--part K/N | --join N] [--parts DIR]
+        [--cache DIR [--prepare]] [--strict] [--require VERSION] [--part K/N | --join N] [--parts DIR]
     blender -b --python scripts/render.py -- FILE.blend --output OUT.png ...
 
 --set writes scene.pointsplat.NAME. With --frames, the frame's number goes before the ending of OUT (out_0001.png) and
@@ -11,7 +11,8 @@ the report is a list. A picture is written under another name and renamed when i
 A large picture may be drawn in parts, --part 1/8 to 8/8, by several processes into a folder (--parts, OUT.parts by
 default), and joined by --join 8: it is the picture of one process to the bit.
 
-For farms: --cache names the folder of hierarchies that machines share, --strict takes a missing file for an error, and
+For farms: --cache names the folder of hierarchies, shadows and light that machines share; what may change from frame
+to frame is written there by the second process that needs it, with --prepare by this one. --strict takes a missing file for an error, and
 --require asks for a version of PointSplat, perhaps with that of Blender ("0.1.0+1f2e3d4c Blender 5.2.3"; reports have
 it). Exit codes: 0 rendered, 1 the render failed, 2 a wrong argument, 3 this machine cannot render it: there is nothing
 to draw with, another version, a file is missing, or the disk is full.
@@ -98,6 +99,7 @@ def arguments(argv: list[str]) -> argparse.Namespace:
     parser.add_argument("--threads", type=int, metavar="N", help="of drawing without a GPU, numpy and Blender")
     parser.add_argument("--report", type=Path, metavar="R.json")
     parser.add_argument("--cache", type=Path, metavar="DIR", help="default: the extension's preferences")
+    parser.add_argument("--prepare", action="store_true", help="keep there what other frames may need")
     piece = parser.add_mutually_exclusive_group()
     piece.add_argument("--part", type=part, metavar="K/N", help="draw the K-th of N parts of one picture")
     piece.add_argument("--join", type=int, metavar="N", help="join N parts, which stay")
@@ -330,6 +332,8 @@ def settle(args: argparse.Namespace) -> None:
             os.environ[name] = str(args.threads)
     if args.cache:
         os.environ["POINTSPLAT_CACHE"] = str(args.cache.resolve())
+    if args.prepare:
+        os.environ["POINTSPLAT_CACHE_AT_ONCE"] = "1"
     if args.end_with_input:
 
         def follow() -> None:

@@ -120,7 +120,8 @@ class BlenderDevice:
         renderer = f"{gpu.platform.renderer_get()}, {gpu.platform.backend_type_get()}"
         self.limits = Limits(renderer, gpu.capabilities.max_texture_size_get(), False, False)
         atomics, blend = capabilities(self, compute=True)
-        self.limits = replace(self.limits, image_atomics=atomics, float_blend=blend)
+        driver = f"{gpu.platform.vendor_get()}, {renderer}, {gpu.platform.version_get()}"
+        self.limits = replace(self.limits, image_atomics=atomics, float_blend=blend, driver=f"Blender, {driver}")
 
     def texture(self, size: tuple[int, int], format: str, data: checks.Texels | None = None) -> BlenderTexture:
         checks.check_texture(size, format, data, self.limits)

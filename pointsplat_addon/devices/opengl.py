@@ -170,7 +170,8 @@ class OpenGLDevice:
         info = self.context.info
         self.limits = Limits(f"{info['GL_RENDERER']}, OpenGL {self.version}", info["GL_MAX_TEXTURE_SIZE"], False, False)
         atomics, blend = capabilities(self, compute=self.version >= COMPUTE_VERSION)
-        self.limits = replace(self.limits, image_atomics=atomics, float_blend=blend)
+        driver = ", ".join(info[f"GL_{name}"] for name in ("VENDOR", "RENDERER", "VERSION"))
+        self.limits = replace(self.limits, image_atomics=atomics, float_blend=blend, driver=f"OpenGL, {driver}")
 
     def texture(self, size: tuple[int, int], format: str, data: checks.Texels | None = None) -> OpenGLTexture:
         checks.check_texture(size, format, data, self.limits)

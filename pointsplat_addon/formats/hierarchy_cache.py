@@ -9,12 +9,9 @@ The content key holds VERSION: files of another version are not found under it, 
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
-import os
 import struct
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +19,7 @@ import numpy as np
 from ..core.lod.hierarchy import Hierarchy
 from ..core.lod.quantisation import Layout, Packed, pack, unpack
 from ..core.scene.cloud import PointCloud
+from .whole_file import write_whole
 
 MAGIC = b"PSPLAT\r\n"
 VERSION = 3
@@ -60,19 +58,7 @@ def write(folder: Path | str, key: str, hierarchy: Hierarchy | Packed) -> Path:
     parts = [header, *(_bytes(a) for a in (packed.points, packed.nodes, packed.order.astype("<i4")))]
     fixed = FIXED.pack(MAGIC, VERSION, len(header), _digest(parts))
     target = path_of(folder, key)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=target.parent, suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            for part in (fixed, *parts):
-                file.write(part)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(name, target)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            os.unlink(name)
-        raise
+    write_whole(target, (fixed, *parts))
     return target
 
 
@@ -91,23 +77,6 @@ def read(folder: Path | str, key: str) -> Hierarchy | None:
         return unpack(_parse(memoryview(content)))
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise CacheError(f"{path}: {error}") from error
-
-
-def trim(folder: Path | str, most: int) -> int:
-    """Deletes the least recently used files until at most `most` bytes remain; returns how many bytes were deleted."""
-    files = []
-    for path in Path(folder).glob("*" + SUFFIX):
-        with contextlib.suppress(OSError):
-            files.append((path.stat(), path))
-    files.sort(key=lambda entry: max(entry[0].st_atime, entry[0].st_mtime))
-    total, deleted = sum(stat.st_size for stat, _ in files), 0
-    for stat, path in files:
-        if total - deleted <= most:
-            break
-        with contextlib.suppress(OSError):
-            path.unlink()
-            deleted += stat.st_size
-    return deleted
 
 
 def _header(packed: Packed) -> bytes:

@@ -30,7 +30,8 @@ def draw(job: dict, frame: int, part: int) -> dict:
     """Draw one frame of a film, or one part of it, unless it is there; what became of it.
 
     job: `file`, `output` (paths that every machine has), `folder` (of the farm's own files), `arguments` (further ones
-    of render.py), `require` (version), `threads` (None: all) and `parts` (of each frame). part: its number from 1 on;
+    of render.py), `require` (version), `threads` (None: all), `parts` (of each frame) and perhaps `prepare` (others
+    wait for what this one leaves in the shared caches). part: its number from 1 on;
     WHOLE for the frame, which is joined where it has parts.
     Returns "state": "drawn", "there" (another machine was first), "failed" (the render raised) or "refused" (this
     machine cannot draw it), with "machine", "begun" and "ended" (seconds since 1970 of this machine's clock),
@@ -80,6 +81,7 @@ def _drawn(job: dict, frame: int, part_number: int) -> dict:
     command += ["--frame", str(frame), "--report", str(told), "--cache", str(folder / "cache")]
     command += ["--strict", "--require", job["require"], "--end-with-input", *job["arguments"]]
     command += ["--threads", str(job["threads"])] if job["threads"] else []
+    command += ["--prepare"] if job.get("prepare") else []
     if job["parts"] > 1:
         how = ["--join", str(job["parts"])] if part_number == WHOLE else ["--part", f"{part_number}/{job['parts']}"]
         command += [*how, "--parts", str(_parts(job, frame))]

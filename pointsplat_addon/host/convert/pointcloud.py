@@ -23,12 +23,16 @@ from ...core.scene.volume import Medium, Volume
 from ...core.splat.kernel import PROFILES
 from ...core.surface.appearance import CLIP, ball_extinction
 from ...core.surface.nearest import median_spacing
+from ...core.surface.neighbourhoods.estimate import Ellipses
 from ...core.volume.optics import voxel_optics
+from ...render.cache.on_disk import form_of_records
+from ..shared_store import STORE
 from . import arrays
 from .arrays import COLOR_TYPES, attribute_as_color, unit_or_up
 from .point_shapes import AS_GIVEN, PointShape, elements, radius_of, station_of
 from .sample_material import SampleMaterial, generated_coordinates, surface_constants
 
+ELLIPSES_FORM = form_of_records(Ellipses)
 DEFAULT_RADIUS = 0.01  # Blender's, for points without a radius attribute
 COLOR_NAMES = ("Color", "Col")  # names that importers give to colours
 VELOCITY = "velocity"  # object units a second, as Cycles and Blender's simulations have it
@@ -135,7 +139,11 @@ def _make_cloud(points: Points, material: SampleMaterial, shape: PointShape, loo
     # What is a medium has no surface.
     shaped = shape.estimates and not material.extinction > 0 and material.medium is None
     if shaped:
-        found = elements(shape, points.position, radius, points.normal, points.station, lookup)
+
+        def kept(key: str, make: Callable[[], Any]) -> Any:
+            return lookup(key, lambda: STORE.on_disk.lookup(key, make, ELLIPSES_FORM))
+
+        found = elements(shape, points.position, radius, points.normal, points.station, kept)
         axis, radius = found.axis, found.radii
         points = replace(points, position=found.position, normal=found.normal)
     fields = _evaluated(points, material, places, shaped)

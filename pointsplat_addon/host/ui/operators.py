@@ -12,10 +12,9 @@ from ...core.numeric.segments import ranges
 from ...core.strand.curves import FREE
 from ...core.strand.fit.from_mesh import fit_strands
 from ...core.strand.fit.result import FittedStrands
-from ...formats import hierarchy_cache
 from ...formats.volumes import dense, vdb
 from ...render.device.protocol import DeviceError
-from .. import caches
+from .. import caches, disk_cache
 from ..convert import arrays
 from ..convert.strands.curves_objects import SURFACE_UV
 from ..convert.volume import load_openvdb
@@ -32,8 +31,7 @@ class POINTSPLAT_OT_clear_cache(bpy.types.Operator):
     bl_label = "Clear Cache"
 
     def execute(self, _context):
-        folder = preferences.cache_folder()
-        freed = hierarchy_cache.trim(folder, 0) if folder else 0
+        freed = disk_cache.free(preferences.cache_folder(), 0)
         caches.release()
         self.report({"INFO"}, f"PointSplat's cache is cleared, {freed / 1e6:.1f} MB deleted")
         return {"FINISHED"}

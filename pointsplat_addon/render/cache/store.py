@@ -13,6 +13,7 @@ from ...core.lod.hierarchy import Hierarchy, build
 from ...core.scene.cloud import PointCloud
 from .cache import Cache
 from .keys import Key, streamed_names
+from .on_disk import NOWHERE
 
 MOST_BYTES = 4 << 30
 STREAMED_VIEWS = 2  # whose pages of scans stay joined: a viewport's and a final picture's
@@ -25,6 +26,7 @@ class Store(Cache):
         """`limit`: bytes of arrays."""
         super().__init__(limit)
         self.build_hierarchy: Callable[[PointCloud], Hierarchy] = build  # or one that reads known ones from disk
+        self.on_disk = NOWHERE  # what shadows and light need that processes share
         self._spacing: dict[Key, float] = {}
         self._worker: ThreadPoolExecutor | None = None
         self._pending: dict[Key, Future] = {}

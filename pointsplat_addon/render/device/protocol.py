@@ -39,6 +39,7 @@ class Limits:
     texture_size: int  # largest side of a texture
     image_atomics: bool  # compute shaders with atomics on R32UI images
     float_blend: bool  # additive blending into RGBA32F
+    driver: str = ""  # with its version: devices of equal ones draw alike, to the bit
 
 
 class Texture(Protocol):

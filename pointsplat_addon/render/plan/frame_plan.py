@@ -20,6 +20,7 @@ from ...core.scene.settings import Settings
 from ...core.scene.validation import validate
 from ...core.splat.blur import defocus_blur
 from ..cache.keys import Key, Kind
+from ..cache.on_disk import NOWHERE, OnDisk
 from ..cache.store import Store
 from ..device.clock import Clock
 from ..device.protocol import Limits
@@ -188,8 +189,11 @@ def make_frame_plan(
     scene, reflects, negligible = without_negligible(scene, prepared, camera.view_from_world, store)
     settings = replace(request.settings, technique=technique.name)
     others = bool(prepared.translucent.point_sets)
-    shadows, unshadowed = _shadows(scene, prepared, replace(request, settings=settings), store, clock, limits)
-    captured_shadows, matte_shadows = _captured_shadows(scene, prepared, settings, store, clock, limits, mattes)
+    on_disk = NOWHERE if presented else store.on_disk
+    shadows, unshadowed = _shadows(scene, prepared, replace(request, settings=settings), store, on_disk, clock, limits)
+    captured_shadows, matte_shadows = _captured_shadows(
+        scene, prepared, settings, store, on_disk, clock, limits, mattes
+    )
     linear = why_not_trained(
         settings, _has_opaque(prepared), others, bool(captured_shadows), camera.aperture is not None
     )
@@ -315,14 +319,22 @@ def _not_adaptive(request: Request, prepared: Prepared, plan: Plan, through_lens
 
 
 def _shadows(
-    scene: Scene, prepared: Prepared, request: Request, store: Store, clock: Clock, limits: Limits
+    scene: Scene,
+    prepared: Prepared,
+    request: Request,
+    store: Store,
+    on_disk: OnDisk,
+    clock: Clock,
+    limits: Limits,
 ) -> tuple[Shadows | None, str]:
     """What casts the shadows of all lights on what is drawn; or None, and why."""
     layers = (prepared, prepared.translucent, prepared.spheres, prepared.nodes)
     if not (any(layer.cut.splats for layer in layers) or len(prepared.polygons) or prepared.strands):
         return None, "nothing is drawn"
     before = time.perf_counter()
-    found, unshadowed = make_shadows(scene, request.settings, store, clock.check, limits.texture_size, request.camera)
+    found, unshadowed = make_shadows(
+        scene, request.settings, store, clock.check, limits.texture_size, request.camera, on_disk
+    )
     if found is None:
         return None, unshadowed or "nothing casts shadows"
     if found.maps is not None and not request.interactive:
@@ -337,6 +349,7 @@ def _captured_shadows(
     prepared: Prepared,
     settings: Settings,
     store: Store,
+    on_disk: OnDisk,
     clock: Clock,
     limits: Limits,
     mattes: bool,
@@ -346,7 +359,7 @@ def _captured_shadows(
     before = time.perf_counter()
 
     def cast_by(casting: Scene) -> Shadows | None:
-        return make_shadows(casting, settings, store, clock.check, limits.texture_size)[0]
+        return make_shadows(casting, settings, store, clock.check, limits.texture_size, on_disk=on_disk)[0]
 
     found = {row: cast_by(casting_on_captured(scene, row)) for row in lit_captured(scene, prepared.captured)}
     on_mattes = cast_by(casting_on_mattes(scene)) if mattes else None

@@ -16,9 +16,13 @@ from ...core.scene.lights import Light
 from ...core.scene.scene import Scene
 from ...core.scene.settings import Settings
 from ...core.shadow import builder
+from ...core.shadow.grid import Frame, Grid
+from ...core.shadow.level import TableLevel
 from ...core.shadow.strand_casters import StrandSegments
+from ...core.shadow.table import Emitter, ShadowTable
 from ..cache.keys import Key, Kind
 from ..cache.keys import digest as hashed
+from ..cache.on_disk import NOWHERE, OnDisk, form_of_records
 from ..cache.store import Store
 from .batches import box_corner_casters, splat_batches, strand_segments
 from .casting import CastingGeometry, casting_geometries, light_key, transmission_digest, why_no_shadows
@@ -29,6 +33,7 @@ from .panes import PaneMaps, casts_as_pane, make_panes, takes_panes
 from .spacing import sample_spacings
 
 MAX_TEXTURE_ROWS = 16384  # rows of a texture
+TABLE_FORM = form_of_records(ShadowTable, Frame, Emitter, TableLevel, Grid)
 
 
 @record
@@ -77,12 +82,13 @@ def make_shadows(
     check: Callable[[], None] = lambda: None,
     texture_size: int = MAX_TEXTURE_ROWS,
     camera: Camera | None = None,
+    on_disk: OnDisk = NOWHERE,
 ) -> tuple[Shadows | None, str]:
     """Returns the shadows of all lights and an empty string; or None and the reason, if no light casts any.
 
     Tables and maps are in the order of the light table's rows. `check` is called between steps, and may raise to stop.
     A light whose table cannot be built casts no shadow, and a warning says so. `texture_size`: of the device. `camera`:
-    that sees the shadows; None: they are for all cameras, also inside of things.
+    that sees the shadows; None: they are for all cameras, also inside of things. `on_disk`: where tables are kept.
     """
     why = why_no_shadows(scene, settings)
     if why:
@@ -107,7 +113,7 @@ def make_shadows(
     clear = [casts_as_pane(scene, caster) for caster in casters]
     shown = [caster for caster, one, floor in zip(casters, clear, floors, strict=True) if one and not floor]
     panes = make_panes(scene, lights, shown, settings.shadow_resolution, store, texture_size)
-    build = _TableBuilder(scene, settings.shadow_resolution, store, check)
+    build = _TableBuilder(scene, settings.shadow_resolution, store, on_disk, check)
     everything = _Cast(casters, floors)
     unmapped = [light for light in lights if light.shadow and not takes_map(light)]
     mapped = [light for light in lights if light.shadow and takes_map(light)]
@@ -141,8 +147,9 @@ class _Cast:
 class _TableBuilder:
     """Builds tables of lights."""
 
-    def __init__(self, scene: Scene, resolution: int, store: Store, check: Callable[[], None]) -> None:
+    def __init__(self, scene: Scene, resolution: int, store: Store, on_disk: OnDisk, check: Callable[[], None]) -> None:
         self._scene, self._resolution, self._store, self._check = scene, resolution, store, check
+        self._on_disk = on_disk
         self._warnings: list[str] = []
 
     def tables(self, lights: Sequence[Light], wanted: list[tuple[list[Light], _Cast]]) -> Tables | None:
@@ -204,7 +211,8 @@ class _TableBuilder:
                 self._warnings.append(f"{light.name or 'A light'} casts no shadow: {error}")
                 return None
 
+        keys = [Key(Kind.SHADOW_TABLE, casters_key, other=light_key(light)) for light in lights]
         return {
-            id(light): (Key(Kind.SHADOW_TABLE, casters_key, other=light_key(light)), lambda light=light: build(light))
-            for light in lights
+            id(light): (key, lambda key=key, light=light: self._on_disk.lookup(key, lambda: build(light), TABLE_FORM))
+            for key, light in zip(keys, lights, strict=True)
         }

@@ -14,10 +14,12 @@ from ....core.numeric.record import value_record
 from ....core.scene.camera import Camera
 from ....core.scene.scene import Scene
 from ...cache.keys import Key, Kind
+from ...cache.on_disk import NOWHERE, OnDisk
 from ...cache.store import Store
 from ...device.protocol import Texture
 from ...passes.shading.lighting import bound_textures
 from ...passes.shading.materials import material_rows
+from ...passes.shadow.kept_depths import depths_form
 from ...plan.plan import Plan
 from ...shadow.maps import ShadowMaps
 from ...shadow.shadows import Shadows, Tables
@@ -56,6 +58,7 @@ class LightingUploads:
         self._tables = None if shadows is None else shadows.tables
         self._maps = None if shadows is None else shadows.maps
         self._panes = None if shadows is None else shadows.panes
+        self.on_disk = NOWHERE if plan.presented else store.on_disk
         self.shadow_key = None if shadows is None else shadows.key  # None: nothing casts shadows
         table = material_rows(scene.materials, self._hair_escape())
         self._surface = float(table[0, 2, 1]), float(table[0, 2, 3])  # roughness and relative index of the first one
@@ -105,18 +108,21 @@ class LightingUploads:
             self._shadow_maps = self._drawn_maps(maps)
         if panes is not None:
             key = Key(Kind.PANE_TEXTURE, panes.key)
-            self._shadow_panes = self._drawn(key, panes.maps, lambda casters: draw_panes(device, panes, casters))
+            draw = lambda casters: draw_panes(device, panes, casters)  # noqa: E731
+            self._shadow_panes = self._drawn(key, panes.maps, draw, self.on_disk)
 
     def _drawn_maps(self, maps: ShadowMaps) -> Texture:
         """Returns the texture of maps; those that others are nested in are drawn once for all views."""
         device, key = self._scope.device, Key(Kind.SHADOW_MAP_TEXTURE, maps.key)
         if maps.of_scene is None:
-            return self._drawn(key, maps, lambda casters: draw_maps(device, maps, casters))
+            return self._drawn(key, maps, lambda casters: draw_maps(device, maps, casters), self.on_disk)
         of_scene = self._drawn_maps(maps.of_scene)
         return self._drawn(key, maps, lambda casters: draw_maps(device, maps, casters, of_scene))
 
-    def _drawn(self, key: Key, maps: ShadowMaps, draw: Callable[[CasterUploads], Texture]) -> Texture:
-        """Returns the texture with a key, which `draw` makes where it is not kept."""
+    def _drawn(
+        self, key: Key, maps: ShadowMaps, draw: Callable[[CasterUploads], Texture], on_disk: OnDisk = NOWHERE
+    ) -> Texture:
+        """Returns the texture with a key, which `draw` makes where it is kept neither on the device nor on disk."""
         scope = self._scope
 
         def make() -> Texture:
@@ -126,7 +132,8 @@ class LightingUploads:
             finally:
                 casters.release()
 
-        return scope.lookup(key, make)
+        device = scope.device
+        return scope.lookup(key, lambda: on_disk.lookup(key, make, depths_form(device), device.limits.driver))
 
     @property
     def _maps_are_kept(self) -> bool:

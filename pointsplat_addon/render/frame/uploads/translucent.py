@@ -88,7 +88,8 @@ class TranslucentUploads:
                 order.release()
 
         kept: LightShares = self._scope.lookup(self._shares_key, lambda: LightShares(device))
-        return kept.textures(self._shares_depend_on, point, program, self.textures["ps_position"].size, light)
+        size, on_disk = self.textures["ps_position"].size, self._lighting.on_disk
+        return kept.textures(self._shares_depend_on, point, program, size, light, on_disk)
 
     def _upload(self, camera: Camera, prepared: Prepared) -> None:
         """Uploads the page, and the order in which this view draws its splats."""
