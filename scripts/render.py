@@ -12,10 +12,10 @@ A large picture may be drawn in parts, --part 1/8 to 8/8, by several processes i
 default), and joined by --join 8: it is the picture of one process to the bit.
 
 For farms: --cache names the folder of hierarchies, shadows and light that machines share; what may change from frame
-to frame is written there by the second process that needs it, with --prepare by this one. --strict takes a missing file for an error, and
---require asks for a version of PointSplat, perhaps with that of Blender ("0.1.0+1f2e3d4c Blender 5.2.3"; reports have
-it). Exit codes: 0 rendered, 1 the render failed, 2 a wrong argument, 3 this machine cannot render it: there is nothing
-to draw with, another version, a file is missing, or the disk is full.
+to frame is written there by the second process that needs it, with --prepare by this one. --strict takes a missing file
+for an error, and --require asks for a version of PointSplat, perhaps with that of Blender ("0.1.0+1f2e3d4c Blender
+5.2.3"; reports have it). Exit codes: 0 rendered, 1 the render failed, 2 a wrong argument, 3 this machine cannot render
+it: there is nothing to draw with, another version, a file is missing, or the disk is full.
 """
 
 import argparse

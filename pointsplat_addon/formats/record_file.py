@@ -117,7 +117,7 @@ def _parse(content: np.ndarray, classes: Mapping[str, type]) -> Any:
     header = json.loads(bytes(body[:length]))
     arrays, start = [], length
     for name, shape in header["arrays"]:
-        if name not in DTYPES or len(shape) > MOST_AXES or not all(type(n) is int and 0 <= n for n in shape):
+        if name not in DTYPES or len(shape) > MOST_AXES or not all(type(n) is int and n >= 0 for n in shape):
             raise ValueError(f"impossible array of {name!r} {shape}")
         size = math.prod(shape) * np.dtype(name).itemsize
         if start + size > len(body):

@@ -18,6 +18,7 @@ from pointsplat_addon.core.lod.nodes.tree import Tree
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.splat import ellipsoids
 from pointsplat_addon.formats import hierarchy_cache as cache
+from pointsplat_addon.formats import whole_file
 
 
 def unit(v: np.ndarray) -> np.ndarray:
@@ -287,19 +288,7 @@ def test_failed_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyP
     def full(*_: object) -> None:
         raise OSError("disk full")
 
-    monkeypatch.setattr(cache.os, "replace", full)
+    monkeypatch.setattr(whole_file.os, "replace", full)
     with pytest.raises(OSError, match="full"):
         cache.write(tmp_path, "k", hierarchy.build(surface_cloud(60)))
     assert [p.read_bytes() for p in tmp_path.iterdir()] == [before]
-
-
-def test_trim_keeps_the_newest(tmp_path: Path) -> None:
-    built = hierarchy.build(surface_cloud(50))
-    paths = [cache.write(tmp_path, str(i), built) for i in range(4)]
-    for age, path in enumerate(paths):
-        cache.os.utime(path, (age, age))
-    size = paths[0].stat().st_size
-    (tmp_path / "other.txt").write_text("not ours")
-    assert cache.trim(tmp_path, 2 * size) == 2 * size
-    assert [p.exists() for p in paths] == [False, False, True, True]
-    assert (tmp_path / "other.txt").exists()

@@ -50,8 +50,9 @@ class Farm:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.processes = folder, []
-        for name in ("farm.py", "common"):
-            source, target = ROOT / "scripts" / name, folder / "scripts" / name
+        version = (f"pointsplat_addon/{name}.py" for name in ("__init__", "formats/__init__", "formats/code_version"))
+        for name in ("scripts/farm.py", "scripts/common", *version):
+            source, target = ROOT / name, folder / name
             target.parent.mkdir(parents=True, exist_ok=True)
             (shutil.copytree if source.is_dir() else shutil.copy)(source, target)
         shutil.copy(ROOT / "blender_manifest.toml", folder)

@@ -16,6 +16,7 @@ from pointsplat_addon.core.material.baking import BORDER
 from pointsplat_addon.core.material.levels import laid_out, smaller_levels
 from pointsplat_addon.render.device.packing import paged
 from pointsplat_addon.render.device.protocol import EMPTY, Device, Timer
+from pointsplat_addon.render.passes.shadow.kept_depths import depths_form, kept
 from pointsplat_addon.shading.interface import Block, Interface
 from tests.reference import textures
 
@@ -211,6 +212,25 @@ def unsigned_integers(device: Device) -> Pixels:
         found[f"{width}x{height}"] = device.read(copied)
         equal(found[f"{width}x{height}"], np.full((height, width), 4, np.uint32), "2^32 - 1 + 5 wraps to 4")
     return found
+
+
+@case
+def depths_from_files(device: Device) -> Pixels:
+    """Bits of depths that a cache has kept are what they were."""
+    bits = np.random.default_rng(2).uniform(0, 1e30, (77, 333)).astype(np.float32).view(np.uint32)
+    bits[20:40], bits[:, 64:200], bits[50, 7], bits[0, 0] = EMPTY, EMPTY, 0x00800000, 0
+    found = kept(bits)
+    assert found is not None
+    form = depths_form(device)
+    texture = form.load(found)
+    assert form.settle(texture) == 4 * bits.size
+    again = device.read(texture)
+    equal(again, bits)
+    saved = form.save(texture)
+    assert saved is not None
+    equal(saved["runs"], found["runs"])
+    texture.release()
+    return {"depths": again}
 
 
 @case

@@ -35,7 +35,7 @@ class LightShares:
         light: Callable[[Target], None],
         on_disk: OnDisk = NOWHERE,
     ) -> dict[str, Texture]:
-        """Returns the textures by sampler name. `light` draws them where they are not known for `key`, nor `on_disk`."""
+        """Returns the textures by sampler name. `light` draws what is not known for `key`, here or `on_disk`."""
         if key != self._key:
             self.release()
             self._key = key
