@@ -12,7 +12,14 @@ bpy = pytest.importorskip("bpy")
 
 from pointsplat_addon.core.lod.hierarchy import Hierarchy
 from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.materials import default_materials
+from pointsplat_addon.core.surface.neighbourhoods.estimate import Ellipses, estimate_ellipses
 from pointsplat_addon.host import disk_cache
+from pointsplat_addon.host.convert import point_shapes, pointcloud
+from pointsplat_addon.host.convert.point_shapes import PointShape
+from pointsplat_addon.host.convert.sample_material import sample_material
+from pointsplat_addon.render.cache import on_disk
+from scripts.common.point_objects import point_cloud_object
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -64,3 +71,31 @@ def test_of_several_processes_one_builds_a_hierarchy(tmp_path: Path) -> None:
     assert sum(int(process.communicate(timeout=120)[0].split()[-1]) for process in processes) == 1
     assert len(list(tmp_path.glob("*.pshier"))) == 1
     assert not list(tmp_path.glob("*.tmp"))
+
+
+def test_surfaces_of_scans_are_kept_and_read_to_the_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(2)
+    position = np.column_stack([rng.random((2000, 2)), np.zeros(2000)]).astype(np.float32)
+    data = point_cloud_object("scan", position, 0.01).data
+    material = sample_material(default_materials(), 0, 0.0)
+    calls: list[int] = []
+
+    def counted(places: np.ndarray) -> Ellipses:
+        calls.append(len(places))
+        return estimate_ellipses(places)
+
+    monkeypatch.setattr(point_shapes, "estimate_ellipses", counted)
+    monkeypatch.setattr(on_disk, "_pays", lambda took, size: True)
+
+    def read(folder: Path | None) -> list[bytes]:
+        monkeypatch.setattr(pointcloud.STORE, "on_disk", on_disk.OnDisk(folder, lambda: None, True))
+        found = pointcloud.read_pointcloud(data, material, lambda key, make: make(), PointShape("SURFACE"))
+        assert found is not None
+        return [array.tobytes() for array in found[1].arrays().values()]
+
+    expected = read(None)
+    assert read(tmp_path) == read(tmp_path) == expected
+    assert len(calls) == 2
+    data.attributes["position"].data[0].vector = (0.5, 0.5, 0.1)
+    assert read(tmp_path) != expected
+    assert len(calls) == 3
