@@ -108,8 +108,8 @@ class LightingUploads:
             self._shadow_maps = self._drawn_maps(maps)
         if panes is not None:
             key = Key(Kind.PANE_TEXTURE, panes.key)
-            draw = lambda casters: draw_panes(device, panes, casters)  # noqa: E731
-            self._shadow_panes = self._drawn(key, panes.maps, draw, self.on_disk)
+            # Not on disk: they are drawn in less time than they are read.
+            self._shadow_panes = self._drawn(key, panes.maps, lambda casters: draw_panes(device, panes, casters))
 
     def _drawn_maps(self, maps: ShadowMaps) -> Texture:
         """Returns the texture of maps; those that others are nested in are drawn once for all views."""
