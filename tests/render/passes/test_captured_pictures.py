@@ -67,8 +67,8 @@ def test_wide_pixels_of_a_moving_view_hide_as_much_as_those_for_which_they_stand
     still, coarse = (
         picture((splats, moved()), eye=one).mean(axis=(0, 1)) for one in (eye, eye.with_coarser_pixels(times))
     )
-    # What has become too faint to be drawn is missing: of the smallest splats a tenth. By the formula of the wide pixels
-    # alone these would hide three times as much with pixels twice as wide.
+    # What has become too faint to be drawn is missing: of the smallest splats a tenth. By the wide pixels' own formula
+    # they would hide three times as much with pixels twice as wide.
     np.testing.assert_array_less(coarse, 1.005 * still)  # measured 1.0002
     np.testing.assert_array_less(0.88 * still, coarse)  # measured 0.898
 
