@@ -325,13 +325,13 @@ def test_the_panel_shows_what_captured_splats_have(tmp_path):
     assert "lighting" not in drawn(bpy.context.object)
 
 
-def test_a_mesh_may_stand_for_captured_surfaces():
+def test_a_shadow_catcher_stands_for_captured_surfaces():
     bpy.ops.mesh.primitive_cube_add()
     ob = bpy.context.object
     ob.data.materials.append(bpy.data.materials.new("Glass"))
     assert sync().instances.matte is None
-    assert "is_matte" in drawn(ob)
-    ob.pointsplat.is_matte = True
+    assert "is_shadow_catcher" in drawn(ob)
+    ob.is_shadow_catcher = True
     ob.pointsplat.primitive = "POINTS"
     scene = sync()
     np.testing.assert_array_equal(scene.instances.matte, [True])
