@@ -130,9 +130,7 @@ def main() -> None:
             done = subprocess.run([*command, "--worker", kind], check=True, capture_output=True, text=True)
             [line] = [line for line in done.stdout.splitlines() if line.startswith(MARK)]
             found[kind].append(json.loads(line.removeprefix(MARK)))
-    print(
-        "| what | clock, s | processor, s | clock, ratio | processor, ratio | memory, GB | kept, GB | memory over kept |"
-    )
+    print("| what | clock, s | processor, s | ratio | of processor | memory, GB | kept, GB | memory over kept |")
     for kind, runs in found.items():
         best = {key: min(run[key] or 0 for run in runs) for key in runs[0]}
         beside = found.get(BESIDE.get(kind, kind), runs)

@@ -88,7 +88,7 @@ def scan(spacings: float, size: int, data: Path) -> None:
 
 
 def from_the_air(count: int, size: int, data: Path) -> None:
-    """A real tile of a survey, repeated, as balls of half the median distance between neighbours, as imports have them."""
+    """A real tile of a survey, repeated, as balls as large as imports make them."""
     from pointsplat_addon.core.surface.nearest import scan_spacing
 
     scene = gallery.studio(size)

@@ -11,7 +11,8 @@ FILE = "../points/lasR_bcts/bcts_2.laz"  # 823,945 points of woodland, of the fo
 
 
 def survey(path: Path, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (count, 3) float32 in metres about the middle of the ground, and colours (count, 3) float32 by intensity.
+    """Positions (count, 3) float32 in metres about the middle of the ground, and colours (count, 3) float32 by
+    intensity.
 
     Every other copy is mirrored, so that neighbours fit.
     """

@@ -231,7 +231,7 @@ def test_a_damaged_chunk_is_told_after_those_before_it(tmp_path, monkeypatch):
         reader._packed = [*reader._packed[:2], (50_000, 100)]
         chunks = reader.chunks()
         found = [next(chunks)["position"], next(chunks)["position"]]
-        with pytest.raises(PointFileError, match="a.laz: cannot be read from point 100,000 on: "):
+        with pytest.raises(PointFileError, match=r"a\.laz: cannot be read from point 100,000 on: "):
             next(chunks)
     np.testing.assert_allclose(np.concatenate(found), position[:100_000], rtol=0, atol=1e-9)
 

@@ -22,8 +22,8 @@ EXTRA_BYTES = 14
 
 
 def check_chunks(path: Path, file: BinaryIO, start: int, length: int, record: bytes) -> list[tuple[int, int]]:
-    """Returns points and bytes of all chunks, as the file says; the last may have fewer points. Raises PointFileError where LASzip's record, the table or
-    a chunk does not fit the file.
+    """Returns points and bytes of all chunks, as the file says; the last may have fewer points. Raises
+    PointFileError where LASzip's record, the table or a chunk does not fit the file.
 
     file: the LAZ file; its position is lost. start: bytes before its points. length: bytes of a point. record: LASzip's
     own, of the user id "laszip encoded".

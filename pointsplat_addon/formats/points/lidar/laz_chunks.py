@@ -36,8 +36,8 @@ def decoded_in_order(
     threads: int,
     decode: Callable[[bytes, int, int], Found],
 ) -> Iterator[Found]:
-    """Yields what `decode` makes of each chunk, in order, for `count` points: of its bytes, its number of points, and that
-    of all points before it.
+    """Yields what `decode` makes of each chunk, in order, for `count` points: of its bytes, its number of points, and
+    that of all points before it.
 
     file: its chunks begin at byte `start`. `decode` is called by several threads at once; what it raises is raised in
     the place of its chunk. Closed before its end, it waits for the chunks at hand, and decodes no more.
