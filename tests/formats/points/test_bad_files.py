@@ -172,7 +172,7 @@ def test_columns_of_zeros_are_left_out_but_colours_stay(tmp_path, end):
     las(tmp_path / f"b.{end}", second, user_data=np.arange(60), green=np.full(60, 65_535))
     found = whole([tmp_path / f"a.{end}"])
     assert set(found.columns) == {"position", "color"}
-    np.testing.assert_array_equal(found.columns["color"], np.tile(np.uint8([0, 0, 0, 255]), (100, 1)))
+    np.testing.assert_array_equal(found.columns["color"], np.tile(np.array([0, 0, 0, 255], np.uint8), (100, 1)))
     found = whole([tmp_path / f"{name}.{end}" for name in "aba"])
     zeros = np.zeros(100)
     np.testing.assert_array_equal(found.columns["user_data"], np.concatenate([zeros, np.arange(60), zeros]))
