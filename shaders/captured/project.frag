@@ -1,7 +1,9 @@
 // One captured splat of the draw list, as lit splats are (render/passes/translucent/light.py): its ellipse in pixels, its
 // opacity, and the light that it sends to the eye. core/splat/captured.py has the formula, render/passes/captured/project.py
 // the layouts. u.first: texel of the first splat of the list; u.instances: the first of this page's, and the one behind its
-// last. PS_TRAINED: display values are blended. PS_SHADOWED, PS_RELIT: light changes what they send. PS_ANTIALIASED: what the low-pass widens loses opacity. PS_AMONG_OPAQUE: something opaque may stand among them.
+// last. PS_TRAINED: display values are blended. u.low_pass: that of the pixels for which wider ones stand while a view moves: what these widen more hides no more.
+// PS_SHADOWED, PS_RELIT: light changes what they send. PS_ANTIALIASED: what the low-pass widens loses opacity.
+// PS_AMONG_OPAQUE: something opaque may stand among them.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/geometry/finite.glsl"
@@ -81,13 +83,17 @@ void main()
   // The mean area of an ellipsoid's pictures is a quarter of its surface (Cauchy).
   float pixels = pow(abs(determinant(linear)), 0.6666667) * abs(focal.x * focal.y);
   float area = means.w * pixels, trace = means.z * pixels / 1.5;
-  float widened = sqrt(area * area + PS_LOW_PASS * (trace + PS_LOW_PASS));
+  float widened = sqrt(area * area + u.low_pass * (trace + u.low_pass));
   float kind = PS_NODE_KIND + max(means.y, 2.0 * PS_LEAST_ALPHA);
   opacity = means.x * widened / sqrt(det);
 #endif
 #else
 #ifdef PS_ANTIALIASED
   opacity *= sqrt(before / det);
+#else
+  if (u.low_pass < PS_LOW_PASS) {
+    opacity *= sqrt((before + u.low_pass * (own.x + own.z + u.low_pass)) / det);
+  }
 #endif
   const float kind = PS_CAPTURED_KIND;
 #endif

@@ -8,7 +8,6 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from pointsplat_addon.formats.splats.gather import read_all
 from pointsplat_addon.formats.splats.opening import open_splats
 from pointsplat_addon.host import engine
 from pointsplat_addon.host.convert import camera as cameras
@@ -33,7 +32,7 @@ def seen(tmp_path):
     columns["f_dc_1"] = [value + 1.5 for value in columns["f_dc_1"]]
     files.write_splat_ply(tmp_path / "a.ply", columns)
     with open_splats(tmp_path / "a.ply") as reader:
-        splats = read_all(reader)
+        splats = files.read_all(reader)
     bpy.ops.pointsplat.import_splats(filepath=str(tmp_path / "a.ply"), axes="RFU")
     scene = bpy.context.scene
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))

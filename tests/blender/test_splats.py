@@ -10,7 +10,6 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from pointsplat_addon.formats.splats.gather import read_all
 from pointsplat_addon.formats.splats.opening import open_splats
 from pointsplat_addon.host.splats.importing import import_files
 from pointsplat_addon.host.splats.pictures import read_picture
@@ -40,7 +39,7 @@ def splat_file(path, count=300, coefficients=8, **changes) -> Any:
     columns = {**files.splat_columns(count, coefficients), **changes}
     files.write_splat_ply(path, columns)
     with open_splats(path) as reader:
-        return read_all(reader)
+        return files.read_all(reader)
 
 
 def imported(path, **options):
@@ -174,7 +173,7 @@ def test_sog_is_read_through_blenders_pictures(tmp_path, name):
     path = tmp_path / name if name == "a.sog" else tmp_path / name / "meta.json"
     ob = imported(path)
     with open_splats(path, files.read_picture) as reader:
-        given: Any = read_all(reader)
+        given: Any = files.read_all(reader)
     np.testing.assert_array_equal(value(ob, "position"), given.position)
     np.testing.assert_array_equal(value(ob, "radiance:sh_2"), given.sh[:, 2])
     assert ob.name == ("a" if name == "a.sog" else "folder")
@@ -242,7 +241,7 @@ def test_filters_and_clip_boxes_cut_splats():
 def exported(path, **options) -> Any:
     assert bpy.ops.pointsplat.export_splats(filepath=str(path), **options) == {"FINISHED"}
     with open_splats(path) as reader:
-        return read_all(reader)
+        return files.read_all(reader)
 
 
 def test_ply_comes_back_as_it_was(tmp_path):
@@ -326,13 +325,13 @@ def test_the_panel_shows_what_captured_splats_have(tmp_path):
     assert "lighting" not in drawn(bpy.context.object)
 
 
-def test_a_mesh_may_stand_for_captured_surfaces():
+def test_a_shadow_catcher_stands_for_captured_surfaces():
     bpy.ops.mesh.primitive_cube_add()
     ob = bpy.context.object
     ob.data.materials.append(bpy.data.materials.new("Glass"))
     assert sync().instances.matte is None
-    assert "is_matte" in drawn(ob)
-    ob.pointsplat.is_matte = True
+    assert "is_shadow_catcher" in drawn(ob)
+    ob.is_shadow_catcher = True
     ob.pointsplat.primitive = "POINTS"
     scene = sync()
     np.testing.assert_array_equal(scene.instances.matte, [True])

@@ -347,13 +347,17 @@ def test_holdouts_are_marked(how):
     assert dict(zip(instances.names, instances.holdout.tolist(), strict=True)) == {"Hole": True, "Wall": False}
 
 
-def test_shadow_catchers_are_left_out_and_named():
+def test_shadow_catchers_without_polygons_are_left_out_and_named():
     square("Floor").is_shadow_catcher = True
+    pointcloud("Scan", [(0, 0, 0)]).is_shadow_catcher = True
     square("Wall")
     scene = sync()
-    assert scene.instances.names == ("Wall",)
-    assert [w for w in scene.warnings if "Floor" in w] == [
-        'Shadow catchers are not supported yet and are left out: "Floor"'
+    assert dict(zip(scene.instances.names, scene.instances.matte.tolist(), strict=True)) == {
+        "Floor": True,
+        "Wall": False,
+    }
+    assert [w for w in scene.warnings if "Scan" in w] == [
+        'Shadow catchers without polygons are not supported yet and are left out: "Scan"'
     ]
 
 

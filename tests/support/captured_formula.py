@@ -33,13 +33,13 @@ from pointsplat_addon.core.scene.valid.captured import valid_captured
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.splat.captured import LEAST_ALPHA, bounds_of_scales, seen
 from pointsplat_addon.formats.points.reader import PointFileError
-from pointsplat_addon.formats.splats.gather import read_all
 from pointsplat_addon.formats.splats.opening import open_splats
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.prepare.captured import view_from_splats
 from scripts.scenes import build, drawing
 from scripts.scenes.cameras import camera
 from tests.reference import captured as reference
+from tests.support.splat_files import read_all
 
 LARGE = 1e-3  # a difference that is looked into: a threshold changes a pixel by up to 1/255
 NEAR_ALPHA = 1e-3  # of 1/255: relative error of an alpha in float32, whose exponent has rounded centres in it

@@ -1,4 +1,4 @@
-"""Writes small files of captured splats byte by byte, for tests: what the package itself reads is not used here."""
+"""Small files of captured splats written byte by byte, by nothing of the package's own, and whole files read."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+
+from pointsplat_addon.core.scene.captured import CapturedSplats
+from pointsplat_addon.formats.splats.reader import SplatReader
 
 NAMES = ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1",
          "rot_2", "rot_3")  # fmt: skip
@@ -144,3 +147,17 @@ def write_ksplat(
                           32767, 0, full, partial, degree).ljust(1024, b"\0")  # fmt: skip
     buckets = struct.pack("<I", len(splats) - 2) + 2 * struct.pack("<3f", *bucket) if bucket else b""
     path.write_bytes(head + section + buckets + b"".join(splats))
+
+
+def read_all(reader: SplatReader) -> CapturedSplats:
+    """Returns all splats of an open file that can be drawn, in its axes. Raises PointFileError and OSError."""
+    parts = list(reader.chunks())
+    header = reader.header
+    shapes = {"position": (3,), "scale": (3,), "rotation": (4,), "base": (3,), "opacity": ()}
+    if header.coefficients:
+        shapes["sh"] = (header.coefficients, 3)
+    found = {}
+    for name, shape in shapes.items():
+        arrays = [getattr(part, name) for part in parts]
+        found[name] = np.concatenate([np.zeros((0, *shape), np.float32), *arrays])
+    return CapturedSplats(**found, origin=np.array(header.origin, np.float64), antialiased=header.antialiased)

@@ -14,6 +14,7 @@ import numpy as np
 BLOCK = 1 << 15  # items: the float64 scratch of one block stays in the cache
 TOGETHER = 64  # rows that are compared as one: NumPy reduces short rows many times more slowly than long ones
 MOST_THREADS = 8  # with more, blocks wait for memory
+THREADS = min(os.cpu_count() or 1, MOST_THREADS)  # asked for once: the system takes as long as a small mesh
 
 
 def blocks(count: int) -> Iterator[slice]:
@@ -28,7 +29,7 @@ def each_block(count: int, work: Callable[[slice], object], block: int = BLOCK) 
     raises in the first slice where it does.
     """
     slices = [slice(start, min(start + block, count)) for start in range(0, count, block)]
-    threads = min(os.cpu_count() or 1, MOST_THREADS, len(slices) // 2)
+    threads = min(THREADS, len(slices) // 2)
     if threads < 2:
         for one in slices:
             work(one)
@@ -82,6 +83,8 @@ def moved_rows(array: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 def column_ranges(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The least and the greatest value of each column, (C,) each, of rows (N, C), N > 0; NaN where there is any."""
+    if len(rows) < 4 * TOGETHER:
+        return rows.min(axis=0), rows.max(axis=0)
     columns = rows.shape[1]
     lows: list[np.ndarray] = []
     highs: list[np.ndarray] = []

@@ -33,6 +33,7 @@ class Camera:
     previous_view_from_world: np.ndarray | None = None  # a frame before; only for the Vector pass
     previous_clip_from_view: np.ndarray | None = None
     aperture: Aperture | None = None  # None: everything is sharp
+    coarseness: float = 1.0  # side of a pixel over that of those for which it stands while a view is in a hurry
 
     @property
     def perspective(self) -> bool:
@@ -64,6 +65,7 @@ class Camera:
             previous_view_from_world=None,
             resolution=(width, height),
             region=None,
+            coarseness=self.coarseness * times,
         )
 
     def pixel_from_view(self) -> tuple[float, float, float, float]:

@@ -103,7 +103,8 @@ class Instances:
     pass_index: np.ndarray | None = None  # (I,) int32
     holdout: np.ndarray | None = None  # (I,) bool: cuts a hole into alpha
     casts: np.ndarray | None = None  # (I,) bool: casts shadows; None: all do
-    # (I,) bool: meshes that stand for captured surfaces: they hide what is behind them, are not seen, and catch shadows
+    # (I,) bool: meshes that stand for surfaces of footage or captures: they hide what is behind them, are not seen, and
+    # catch shadows
     matte: np.ndarray | None = None
     object_hash: np.ndarray | None = None  # (I,) uint32: cryptomatte hash of the object's name
     names: tuple[str, ...] = ()  # object name for each row, for messages

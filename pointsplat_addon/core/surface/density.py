@@ -18,6 +18,7 @@ from .spacing import MAX_SAMPLES, limit_spacing
 EXACT_INSTANCES = 64  # beyond these the next instance's bounding box speaks for all others: finer, never coarser
 PART = 128  # triangles
 JUDGED = 256  # parts that tell whether a mesh's order jumps about
+SMALL = 8 * PART  # triangles: looking takes longer than drawing them in any order
 SCATTERED = 0.4  # of a mesh's size: where its parts are larger, on average, another order is worth its time
 _CORNERS = np.array(np.meshgrid([False, True], [False, True], [False, True], indexing="ij")).reshape(3, 8)
 
@@ -68,8 +69,11 @@ def make_parts(mesh: Mesh) -> Parts:
 def coherent_order(mesh: Mesh) -> np.ndarray | None:
     """(T,) order of valid triangles in which those that follow one another lie together; None: the mesh's own.
 
-    It is that of `make_parts`, but only some of the parts are looked at.
+    It is that of `make_parts`, but only some of the parts are looked at, and the few triangles of a small mesh lie
+    together in any order.
     """
+    if len(mesh.triangles) < SMALL:
+        return None
     some = np.linspace(0, len(mesh.triangles) // PART, JUDGED, endpoint=False).astype(np.int64)
     rows = (PART * np.unique(some)[:, None] + np.arange(PART)).reshape(-1)
     found = _boxes(mesh.position, mesh.triangles[rows[rows < len(mesh.triangles)]])

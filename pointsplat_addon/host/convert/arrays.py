@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import math
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,6 @@ from ...core.material.color_models import linear_from_srgb
 from ...core.numeric.vectors import each_block
 
 PIECE = 1 << 22  # bytes of an array that are digested at once
-CTYPES = {np.float32: ctypes.c_float, np.int32: ctypes.c_int32, np.int8: ctypes.c_int8, np.uint8: ctypes.c_uint8,
-          np.bool_: ctypes.c_bool}  # fmt: skip
 
 
 def view(collection: Any, shape: tuple[int, ...], dtype: type) -> np.ndarray:
@@ -23,8 +22,10 @@ def view(collection: Any, shape: tuple[int, ...], dtype: type) -> np.ndarray:
     """
     if len(collection) == 0:
         return np.zeros((0, *shape[1:]), dtype)
-    pointer = ctypes.cast(collection[0].as_pointer(), ctypes.POINTER(CTYPES[dtype]))
-    return np.ctypeslib.as_array(pointer, shape)
+    count = math.prod(shape)
+    # Several times as fast as by a pointer, which files of many small objects tell.
+    memory = (ctypes.c_char * (count * np.dtype(dtype).itemsize)).from_address(collection[0].as_pointer())
+    return np.frombuffer(memory, dtype, count).reshape(shape)
 
 
 def read(collection: Any, name: str, width: int, dtype: type) -> np.ndarray:

@@ -47,7 +47,7 @@ class Source:
     pass_index: int
     holdout: bool
     casts: bool  # whether it casts shadows
-    matte: bool  # whether it stands for captured surfaces
+    matte: bool  # whether it is a shadow catcher
     generated: bool  # whether an instancer made it: its data may belong to the instancer
     editing: bpy.types.Object | None = None  # the object, if its mesh is in edit mode
     transfer: Transfer | None = None  # of volumes
@@ -136,13 +136,13 @@ def collect(
         if found is None:
             first = len(sources)
             visible = _visibility(ob, parent, view_layer, flags)
-            if visible.catcher:
-                unsupported.setdefault("Shadow catchers", []).append(ob.name)
+            if visible.catcher and ob.type != "MESH":
+                unsupported.setdefault("Shadow catchers without polygons", []).append(ob.name)
             elif visible.drawn and (view3d is None or ob.visible_in_viewport_get(view3d)):
                 source = _make_source(ob, view_layer.material_override, visible, instance.is_instance, clip)
                 source.motion = motion
                 own = [source]
-                if scale and source.smoke is None and (medium := media[uid]) is not None:
+                if scale and source.smoke is None and not source.matte and (medium := media[uid]) is not None:
                     own = _with_filling(source, medium, scale)
                 sources += own if instance.show_self else []
                 if len(ob.particle_systems) and instance.show_particles:
@@ -173,8 +173,8 @@ def _make_source(
     generated: bool,
     clip: Clip | None,
 ) -> Source:
-    matte = _is_matte(ob)
-    materials = _materials(ob, override)
+    matte = visible.catcher
+    materials = () if matte else _materials(ob, override)
     primitive = "POLYGONS" if matte else ob.pointsplat.primitive
     return Source(
         name=ob.name,
@@ -213,13 +213,8 @@ def _with_filling(source: Source, material: bpy.types.Material, scale: tuple[flo
     return [source, filled] if has_surface(source.materials) else [filled]
 
 
-def _is_matte(ob: bpy.types.Object) -> bool:
-    return ob.type == "MESH" and ob.pointsplat.is_matte
-
-
 def _materials(ob: bpy.types.Object, override: bpy.types.Material | None) -> tuple[bpy.types.Material | None, ...]:
-    """Returns the material of each slot; mattes have none."""
-    return () if _is_matte(ob) else tuple(override or slot.material for slot in ob.material_slots)
+    return tuple(override or slot.material for slot in ob.material_slots)
 
 
 def linked_scan(ob: bpy.types.Object) -> LinkedScan | None:
@@ -251,7 +246,7 @@ class Flags(NamedTuple):
     drawn: bool
     holdout: bool
     casts: bool  # whether it casts shadows
-    catcher: bool  # whether it is a shadow catcher, which is not supported and left out
+    catcher: bool  # whether it is a shadow catcher
 
 
 def _visibility(

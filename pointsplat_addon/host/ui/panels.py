@@ -268,8 +268,6 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
             row = layout.row()
             row.active = ob.pointsplat.primitive != "POLYGONS"
             row.prop(ob.pointsplat, "spacing")
-            if ob.type == "MESH":
-                layout.prop(ob.pointsplat, "is_matte")
         if ob.type in WITH_EXTINCTION or len(ob.particle_systems):
             layout.prop(ob.pointsplat, "extinction")
         self._visibility(ob, layout)
@@ -278,6 +276,8 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
         column = layout.column(heading="Visibility")
         column.prop(ob, "visible_camera", text="Camera")
         column.prop(ob, "visible_shadow", text="Shadow")
+        if ob.type == "MESH":
+            column.prop(ob, "is_shadow_catcher")
 
 
 class POINTSPLAT_OBJECT_PT_transfer(_Panel, bpy.types.Panel):

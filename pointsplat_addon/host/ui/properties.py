@@ -122,13 +122,6 @@ class PointSplatObject(bpy.types.PropertyGroup):
         default="CAPTURED",
         update=changed,
     )
-    is_matte: BoolProperty(
-        name="Matte",
-        description="The mesh stands for surfaces of captured Gaussian splats: it hides what is behind it, is not seen "
-        "itself, and catches the shadows of what was added to the capture",
-        default=False,
-        update=changed,
-    )
     filters: CollectionProperty(
         type=PointSplatFilter,
         name="Filters",

@@ -1,5 +1,5 @@
-"""Mattes: meshes that stand for captured surfaces. They hide what is behind them, are not seen themselves, and catch
-shadows of what was added to a capture."""
+"""Mattes: meshes that stand for surfaces of footage or of a capture, as Blender's shadow catchers. They hide what is
+behind them, are not seen themselves, and catch shadows of what was added."""
 
 from __future__ import annotations
 
@@ -23,7 +23,11 @@ def with_mattes(scene: Scene, prepared: Prepared, technique: str) -> tuple[Prepa
     if technique == "VISIBILITY" and prepared.out_of_focus is None:
         return prepared, True, ()
     without = replace(prepared, polygons=prepared.polygons[~matte[prepared.polygons]])
-    return without, False, ("Mattes are left out: only the Visibility Buffer draws them, without depth of field",)
+    return (
+        without,
+        False,
+        ("Shadow catchers are left out: only the Visibility Buffer draws them, without depth of field",),
+    )
 
 
 def casting_on_mattes(scene: Scene) -> Scene:

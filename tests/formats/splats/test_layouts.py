@@ -13,7 +13,6 @@ import pytest
 from pointsplat_addon.formats.points import ply
 from pointsplat_addon.formats.points.reader import PointFileError
 from pointsplat_addon.formats.splats.axes import blender_from
-from pointsplat_addon.formats.splats.gather import read_all
 from pointsplat_addon.formats.splats.opening import open_splats
 from pointsplat_addon.formats.splats.reader import messages
 from tests.support import splat_files as files
@@ -26,7 +25,7 @@ ONE = {"x": [1.0], "y": [2.0], "z": [3.0], "f_dc_0": [0.1], "f_dc_1": [0.2], "f_
 
 def read(path, level=0) -> Any:
     with open_splats(path, files.read_picture, level) as reader:
-        return read_all(reader)
+        return files.read_all(reader)
 
 
 def check_one(found):
@@ -293,7 +292,7 @@ def test_values_that_are_no_numbers_are_left_out_and_counted(tmp_path, name, val
     columns["x"][2] = 7.0
     files.write_splat_ply(tmp_path / "a.ply", columns)
     with open_splats(tmp_path / "a.ply") as reader:
-        found = read_all(reader)
+        found = files.read_all(reader)
         assert reader.dropped == 1
         assert messages(reader) == ["1 splats with values that are no numbers are left out"]
     np.testing.assert_array_equal(found.position[:, 0], [1, 7])
@@ -308,7 +307,7 @@ def test_an_infinite_logit_is_opaque(tmp_path):
 def test_quaternions_of_any_length_turn_and_zero_does_not(tmp_path, factor, turned):
     files.write_splat_ply(tmp_path / "a.ply", {**ONE, "rot_1": [3.0 * factor], "rot_3": [4.0 * factor]})
     with open_splats(tmp_path / "a.ply") as reader:
-        found = read_all(reader)
+        found = files.read_all(reader)
         assert reader.unturned == (not turned)
         assert bool(messages(reader)) == (not turned)
     np.testing.assert_allclose(found.rotation, [[0, 0.6, 0, 0.8] if turned else [1, 0, 0, 0]], rtol=1e-6)

@@ -14,11 +14,11 @@ from pointsplat_addon.core.numeric.harmonics import harmonics
 from pointsplat_addon.core.numeric.rotations import rotation_matrices
 from pointsplat_addon.core.scene.captured import CapturedSplats
 from pointsplat_addon.formats.points.reader import PointFileError
-from pointsplat_addon.formats.splats.gather import read_all
 from pointsplat_addon.formats.splats.opening import open_splats
 from pointsplat_addon.formats.splats.writing.ply import write_ply
 from pointsplat_addon.formats.splats.writing.spz import write_spz
 from pointsplat_addon.formats.splats.writing.transform import quaternion, transformed
+from tests.support.splat_files import read_all
 
 NAMES = "position", "scale", "rotation", "base", "opacity", "sh"
 

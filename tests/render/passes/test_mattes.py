@@ -106,5 +106,5 @@ def test_other_passes_do_not_show_it():
 @pytest.mark.parametrize("technique", ["EWA", "IMAGE_SPACE", "PAINTER"])
 def test_other_techniques_leave_it_out_and_say_so(technique):
     found = rendered(MATTE, IN_FRONT, mattes=(MATTE,), technique=technique)
-    assert any("Mattes are left out" in warning for warning in found.report["warnings"])
+    assert any("Shadow catchers are left out" in warning for warning in found.report["warnings"])
     np.testing.assert_array_equal(found.pixels["combined"], picture(IN_FRONT, technique=technique))

@@ -61,10 +61,6 @@ def do(work: Work) -> dict[str, Any]:
 # ---------------------------------------------------------------------------- plans
 
 
-def write_plan(folder: Path, plan: Plan) -> None:
-    write_json(folder / "plan.json", plan_facts(plan))
-
-
 def plan_facts(plan: Plan) -> dict[str, Any]:
     inputs = [_values(one) for one in plan.inputs]
     tasks = [[[p.file, p.first, p.count] for p in parts] for parts in plan.tasks]

@@ -135,6 +135,7 @@ class CapturedUploads:
             for row in one.instances
         ]
         self._slopes = captured.slope_limits(camera)
+        self._low_pass = captured.LOW_PASS / camera.coarseness**2
         self._views = self._scope.view_texture(self._view_rows(views, camera))
         self._order = self._sorted(views, camera)
         self.count = len(self._order.depth)
@@ -155,6 +156,7 @@ class CapturedUploads:
             record = view.record_of(
                 program.block,
                 slopes=self._slopes,
+                low_pass=self._low_pass,
                 instances=(one.first, one.first + len(one.instances)),
                 first=lit.count,
                 count=self.count,

@@ -24,6 +24,7 @@ from ..uniforms import CAMERA_FIELDS, Fields, block
 
 _FIELDS: Fields = (
     ("vec4", "slopes"),  # least x and y, greatest x and y: core.splat.captured.slope_limits
+    ("float", "low_pass"),  # pixels^2: that of the pixels for which the picture's stand
     ("ivec2", "instances"),  # the first of those that the page shows, and the one behind the last
     ("int", "first"),  # texel of the list's first splat in what is written
     ("int", "count"),  # of the splats in the list
