@@ -51,17 +51,26 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return position, triangles
 
 
+def surface_samples(
+    position: np.ndarray, triangles: np.ndarray, count: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Random points of a surface, equally dense everywhere, and its unit normals there: (count, 3) float64 each."""
+    corners = position[triangles]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(across, axis=1) / 2
+    which = rng.choice(len(area), count, p=area / area.sum())
+    u, v = rng.random((2, count))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    a, b, c = corners[which].transpose(1, 0, 2)
+    return a + u[:, None] * (b - a) + v[:, None] * (c - a), across[which] / (2 * area[which])[:, None]
+
+
 def sampled(position: np.ndarray, triangles: np.ndarray, spacing: float, seed: int = 0) -> np.ndarray:
     """Random points (N, 3) float32 of a surface, one to each square of the spacing, with noise."""
     rng = np.random.default_rng(seed)
     corners = position[triangles]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    count = int(area.sum() / spacing**2)
-    which = rng.choice(len(area), count, p=area / area.sum())
-    u, v = rng.random((2, count))
-    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-    a, b, c = corners[which].transpose(1, 0, 2)
-    points = a + u[:, None] * (b - a) + v[:, None] * (c - a)
+    points, _ = surface_samples(position, triangles, int(area.sum() / spacing**2), rng)
     return (points + NOISE * spacing * rng.normal(size=points.shape)).astype(np.float32)
 
 

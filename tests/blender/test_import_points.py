@@ -159,6 +159,30 @@ def test_what_is_refused_is_named_and_leaves_nothing(tmp_path):
     assert (len(bpy.data.objects), len(bpy.data.pointclouds), len(bpy.data.meshes)) == before
 
 
+def test_files_of_different_reference_systems_are_named(tmp_path):
+    laspy = pytest.importorskip("laspy", reason="it comes with the extension")
+    for name, system in (("a", "RGF93 / Lambert-93"), ("b", "WGS 84 / UTM zone 31N"), ("c", "RGF93 / Lambert-93")):
+        las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+        las.x, las.y, las.z = np.arange(9.0).reshape(3, 3)
+        las.vlrs.append(laspy.VLR("LASF_Projection", 2112, "", f'PROJCS["{system}"]\0'.encode()))
+        las.write(str(tmp_path / f"{name}.las"))
+
+    def warnings_of(names):
+        work = import_scan(bpy.context, [tmp_path / f"{name}.las" for name in names], Selection())
+        while True:
+            try:
+                next(work)
+            except StopIteration as done:
+                return done.value[1]
+
+    [warning] = warnings_of("abc")
+    assert warning == (
+        "The files have different coordinate reference systems "
+        '(a.las: PROJCS["RGF93 / Lambert-93"]; b.las: PROJCS["WGS 84 / UTM zone 31N"])'
+    )
+    assert warnings_of("ac") == []
+
+
 def test_an_import_that_is_closed_leaves_nothing(tmp_path):
     scan_file(tmp_path / "a.ply")
     work = import_scan(bpy.context, [tmp_path / "a.ply"], Selection())

@@ -11,6 +11,8 @@ from ...core.numeric.record import value_record
 from .colors import coded, coding_of
 from .reader import CHUNK, Attribute, Columns, Reader, origin_of
 
+GROWTH = 1.25  # of a column whose memory is full
+
 
 @value_record
 class Selection:
@@ -49,8 +51,7 @@ def gather(readers: Sequence[Reader], selection: Selection, size: int = CHUNK) -
     found = Gathered(np.zeros(3))
     types = _types(readers, selection)
     total = sum(reader.header.count for reader in readers)
-    # Headers may promise more points than there are: memory grows with what is found.
-    parts: dict[str, list[np.ndarray]] = {name: [] for name in types}
+    parts = {name: _Column(dtype, shape, total) for name, (dtype, shape) in types.items()}
     seen, first_station = 0, 0
     start: float | None = None
     read = {
@@ -64,13 +65,19 @@ def gather(readers: Sequence[Reader], selection: Selection, size: int = CHUNK) -
         for chunk in reader.chunks(read, size):
             count = len(chunk["position"])
             seen += count
+            yield min(seen / max(total, 1), 1.0)
             rows = _chosen(chunk, selection, before)
             before += count
-            finite = np.asarray(np.isfinite(chunk["position"]).all(axis=1))
-            found.dropped += int(np.count_nonzero(~finite[rows]))
-            rows = rows[finite[rows]]
-            if not parts["position"]:
-                found.origin = origin_of(None, chunk["position"][rows])
+            if not np.isfinite(chunk["position"]).all():  # which takes less time than to look at each point
+                finite = np.asarray(np.isfinite(chunk["position"]).all(axis=1))
+                rows = np.arange(count)[rows]
+                found.dropped += int(np.count_nonzero(~finite[rows]))
+                rows = rows[finite[rows]]
+            position = chunk["position"][rows]
+            if len(position) == 0:
+                continue
+            if len(parts["position"]) == 0:
+                found.origin = origin_of(None, position)
             if "gps_time" in chunk and start is None:
                 time = chunk["gps_time"][rows] + reader.header.time_start
                 known = time[np.isfinite(time)]
@@ -80,34 +87,69 @@ def gather(readers: Sequence[Reader], selection: Selection, size: int = CHUNK) -
                 "gps_time": reader.header.time_start - (start or 0.0),
                 "station": first_station,
             }
-            if len(rows):
-                for name, (dtype, shape) in types.items():
-                    parts[name].append(_part(chunk, rows, name, offsets.get(name, 0), dtype, shape))
-            yield min(seen / max(total, 1), 1.0)
+            for name, column in parts.items():
+                given = chunk[name][rows] if name in chunk else None
+                column.add(given, offsets.get(name, 0), len(position))
         found.warnings += reader.warnings
         first_station += len(stations)
         found.stations = np.concatenate([found.stations, stations])
     found.time_start = start or 0.0
     found.stations = found.stations - found.origin
-    for name, (dtype, shape) in types.items():
-        array = np.concatenate([np.zeros((0, *shape), dtype), *parts.pop(name)])
+    for name in types:
+        column = parts.pop(name)
         if name == "color":
+            array = column.taken()
             found.columns[name] = coded(array, coding_of(array))
-        elif name == "position" or array.any():
-            found.columns[name] = array
+        elif name == "position" or column.some:
+            found.columns[name] = column.taken()
     return found
 
 
-def _part(
-    chunk: Columns, rows: np.ndarray, name: str, offset: np.ndarray | float, dtype: np.dtype, shape: tuple[int, ...]
-) -> np.ndarray:
-    """Rows of a column, with an offset added; zeros where the file has no such column or fewer components."""
-    result = np.zeros((len(rows), *shape), dtype)
-    if name in chunk:
-        given = chunk[name][rows]
-        there = result[:, : given.shape[1]] if shape and given.ndim == 2 else result
-        there[...] = given + offset if np.any(offset) else given
-    return result
+class _Column:
+    """A column that grows, in one piece of memory, so that its parts are nowhere held twice. While all of it is zero,
+    as most columns of most scans are, it takes none."""
+
+    def __init__(self, dtype: np.dtype, shape: tuple[int, ...], promised: int) -> None:
+        self._dtype, self._shape = dtype, shape  # of a point's value
+        self._promised = promised  # points, by the headers
+        self._values: np.ndarray | None = None
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def some(self) -> bool:
+        """Whether any value is not zero."""
+        return self._values is not None
+
+    def add(self, given: np.ndarray | None, offset: np.ndarray | float, count: int) -> None:
+        """Appends `count` values and their offset; zeros where a file has no such column or fewer components."""
+        first, self._count = self._count, self._count + count
+        moved = bool(np.any(offset))
+        if given is not None and (moved or given.any() or self.some):
+            part = self._room()[first : self._count]
+            there = part[:, : given.shape[1]] if self._shape and given.ndim == 2 else part
+            there[...] = given + offset if moved else given
+        elif self.some:
+            self._room()
+
+    def _room(self) -> np.ndarray:
+        """Memory for all values, zero where none was written."""
+        if self._values is None:
+            self._values = np.zeros((self._count, *self._shape), self._dtype)
+        if len(self._values) < self._count:
+            # Headers may promise more points than there are: memory grows with what is found.
+            size = min(int(GROWTH * self._count), max(self._promised, self._count))
+            self._values.resize((size, *self._shape), refcheck=False)
+        return self._values
+
+    def taken(self) -> np.ndarray:
+        """The values, (N, ...); the column gives them up."""
+        values = self._room()
+        values.resize((self._count, *self._shape), refcheck=False)
+        self._values = None
+        return values
 
 
 def _types(readers: Sequence[Reader], selection: Selection) -> dict[str, tuple[np.dtype, tuple[int, ...]]]:
@@ -132,9 +174,11 @@ def _types(readers: Sequence[Reader], selection: Selection) -> dict[str, tuple[n
     return found
 
 
-def _chosen(chunk: Columns, selection: Selection, before: int) -> np.ndarray:
+def _chosen(chunk: Columns, selection: Selection, before: int) -> np.ndarray | slice:
     """Rows of a chunk that are wanted; `before`: points of the file that precede it."""
     first = -before % selection.every
+    if selection.box is None and (selection.classes is None or "classification" not in chunk):
+        return slice(first, None, selection.every)
     rows = np.arange(first, len(chunk["position"]), selection.every)
     if selection.box is not None:
         low, high = np.array(selection.box)

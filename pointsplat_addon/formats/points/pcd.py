@@ -15,6 +15,7 @@ import numpy as np
 from ...core.numeric.record import record
 from .columns import assemble, attributes_of
 from .reader import CHUNK, Attribute, Columns, FileReader, Header, PointFileError, origin_of
+from .records import Records
 from .text.rows import TextRows
 
 LONGEST_HEADER = 1 << 16  # bytes
@@ -54,19 +55,11 @@ class PcdReader(FileReader):
         attributes += [
             Attribute(name, dtype.base, dtype.shape[0], (name,)) for name, dtype in fields if len(dtype.shape) == 1
         ]
-        size = path.stat().st_size - header.size
         if header.data == "ascii":
             width = sum(int(np.prod(dtype.shape, dtype=np.int64)) for _, dtype in fields)
             self._rows = TextRows(path, header.size, 0, header.count, width)
         elif header.data == "binary":
-            if header.count * header.record.itemsize > size:
-                there = size // max(header.record.itemsize, 1)
-                raise PointFileError(path, f"promises {header.count:,} points and ends after {there:,}")
-            self._records = (
-                np.memmap(path, header.record, "r", header.size, (header.count,))
-                if header.count
-                else np.empty(0, header.record)
-            )
+            self._records = Records(path, header.record, header.size, header.count)
         title = f"PCD, {header.data.replace('_', ' ')}"
         pose = np.array(header.viewpoint)
         known = len(pose) == 7 and np.isfinite(pose).all() and bool(pose.any()) and tuple(pose[:3]) != (0, 0, 0)
@@ -93,7 +86,10 @@ class PcdReader(FileReader):
             for rows in self._rows.chunks(size):
                 yield _from_text(rows, header.record)
             return
-        records = self._decompressed() if header.data == "binary_compressed" else self._records
+        if header.data == "binary":
+            yield from self._records.chunks(size)
+            return
+        records = self._decompressed()
         for first in range(0, len(records), size):
             yield records[first : first + size]
 
@@ -128,9 +124,6 @@ class PcdReader(FileReader):
             records[name] = values.reshape(header.count, *dtype.shape)
             start += values.nbytes
         return records
-
-    def close(self) -> None:
-        self._records = np.empty(0)
 
 
 def _from_text(rows: np.ndarray, record: np.dtype) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 from ...core.numeric.record import value_record
 from .columns import assemble, attributes_of
 from .reader import CHUNK, Columns, FileReader, Header, PointFileError, origin_of
+from .records import Records
 from .text.rows import TextRows
 
 LONGEST_HEADER = 1 << 18  # bytes
@@ -112,12 +113,7 @@ class PlyReader(FileReader):
             order = ORDERS[header.order]
             start = header.size + sum(element.count * _record(element, order).itemsize for element in before)
             record = _record(vertex, order)
-            if record.itemsize * vertex.count > path.stat().st_size - start:
-                there = max(0, path.stat().st_size - start) // max(record.itemsize, 1)
-                raise PointFileError(path, f"promises {vertex.count:,} points and ends after {there:,}")
-            self._records = (
-                np.memmap(path, record, "r", start, (vertex.count,)) if vertex.count else np.empty(0, record)
-            )
+            self._records = Records(path, record, start, vertex.count)
         columns = [(name, np.dtype(dtype)) for name, dtype in vertex.properties]
         attributes = attributes_of(columns, path)
         title = f"PLY, {header.order.replace('_', ' ')}"
@@ -132,11 +128,8 @@ class PlyReader(FileReader):
             for rows in self._rows.chunks(size):
                 yield assemble(dict(zip(names, rows.T, strict=True)), wanted)
             return
-        for first in range(0, len(self._records), size):
-            yield assemble(self._records[first : first + size], wanted)
-
-    def close(self) -> None:
-        self._records = np.empty(0)
+        for records in self._records.chunks(size):
+            yield assemble(records, wanted)
 
 
 def _record(element: Element, order: str) -> np.dtype:

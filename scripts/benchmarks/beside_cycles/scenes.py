@@ -20,6 +20,7 @@ from typing import Any
 import bpy
 import numpy as np
 
+from scripts.benchmarks.beside_cycles import survey
 from scripts.benchmarks.beside_cycles.everything import everything
 from scripts.benchmarks.beside_cycles.landscape import landscape
 from scripts.benchmarks.beside_cycles.room import room
@@ -84,6 +85,19 @@ def scan(spacings: float, size: int, data: Path) -> None:
     cloud.data.materials.append(painted("Scan"))
     aim(bpy.context.scene.camera, (0.0, 0.0, 3.5), (0.0, 0.0, 0.0))
     bpy.context.scene.objects["Sun"].rotation_euler = (math.radians(-35), math.radians(30), 0.0)
+
+
+def from_the_air(count: int, size: int, data: Path) -> None:
+    """A real tile of a survey, repeated, as balls as large as imports make them."""
+    from pointsplat_addon.core.surface.nearest import scan_spacing
+
+    scene = gallery.studio(size)
+    position, color = survey.survey((data / survey.FILE).resolve(), count)
+    cloud = point_cloud_object("Scan", position, 0.5 * scan_spacing(position), color)
+    cloud.data.materials.append(painted("Scan"))
+    scene.camera.data.angle, scene.camera.data.clip_end = math.radians(50), 3000.0
+    aim(scene.camera, (-150.0, -620.0, 260.0), (0.0, -120.0, 0.0))
+    scene.objects["Sun"].rotation_euler = (math.radians(40), math.radians(25), 0.0)
 
 
 def painted(name: str) -> bpy.types.Material:
@@ -234,6 +248,7 @@ KINDS = {
     "scan-sparse": Kind(partial(scan, 0.25), needs=models.SCAN_FILE),
     "scan-touching": Kind(partial(scan, 0.5), needs=models.SCAN_FILE),
     "scan-dense": Kind(partial(scan, 1.5), needs=models.SCAN_FILE),
+    "scan-10M": Kind(partial(from_the_air, 10_000_000), (960, 540), survey.FILE),
     "bunny": Kind(partial(of_error_vs_time, "bunny"), needs="bunny_bun_zipper.ply"),
     "dragon": Kind(partial(of_error_vs_time, "dragon"), needs="dragon_vrip_res2.ply.gz"),
     "truck": Kind(partial(of_error_vs_time, "truck"), needs="peterbilt"),

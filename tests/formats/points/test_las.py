@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import struct
+import threading
 
 import numpy as np
 import pytest
 
 from pointsplat_addon.formats.points.gather import Selection, gather
+from pointsplat_addon.formats.points.lidar import laz_chunks
 from pointsplat_addon.formats.points.opening import open_points
 from pointsplat_addon.formats.points.reader import PointFileError
 from tests.support.scan_files import write_potree
@@ -193,6 +195,57 @@ def test_chunks_of_laz_that_promise_gigabytes_are_decoded_one_by_one(tmp_path):
     record = data.index(b"laszip encoded") - 2 + 54
     damaged(tmp_path / "a.laz", record + 12, "<I", 1 << 30)
     np.testing.assert_allclose(whole(tmp_path / "a.laz")["position"], position, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("point_format", [3, 7, 10])
+def test_chunks_side_by_side_are_those_of_laspy(tmp_path, monkeypatch, point_format):
+    """Three chunks of LASzip; each column alone, of which lazrs decodes no other layers, is as it is among all."""
+    monkeypatch.setattr(laz_chunks.os, "cpu_count", lambda: 4)
+    las, position = scan(point_format, 120_000)
+    random = np.random.default_rng(1)
+    for name in ("user_data", "point_source_id", "synthetic", "overlap", "wavepacket_size", "x_t"):
+        if name in las.point_format.dimension_names:
+            las[name] = random.integers(0, 2, len(position))
+    las.write(str(tmp_path / "a.laz"))
+    with open_points(tmp_path / "a.laz") as reader:
+        assert [len(chunk["position"]) for chunk in reader.chunks((), 1 << 20)] == [50_000, 50_000, 20_000]
+        assert max(len(chunk["position"]) for chunk in reader.chunks((), 30_000)) == 30_000
+        attributes = reader.header.attributes
+    found = whole(tmp_path / "a.laz")
+    np.testing.assert_allclose(found["position"], position, rtol=0, atol=1e-9)
+    for attribute in attributes[1:]:
+        truth = np.stack([np.asarray(las[name]) for name in attribute.source], axis=-1).reshape(
+            found[attribute.name].shape
+        )
+        np.testing.assert_array_equal(found[attribute.name], truth)
+        alone = whole(tmp_path / "a.laz", (attribute.name,))
+        assert set(alone) == {"position", attribute.name}
+        np.testing.assert_array_equal(alone[attribute.name], truth)
+
+
+def test_a_damaged_chunk_is_told_after_those_before_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(laz_chunks.os, "cpu_count", lambda: 4)
+    las, position = scan(0, 120_000)
+    las.write(str(tmp_path / "a.laz"))
+    with open_points(tmp_path / "a.laz") as reader:
+        reader._packed = [*reader._packed[:2], (50_000, 100)]
+        chunks = reader.chunks()
+        found = [next(chunks)["position"], next(chunks)["position"]]
+        with pytest.raises(PointFileError, match=r"a\.laz: cannot be read from point 100,000 on: "):
+            next(chunks)
+    np.testing.assert_allclose(np.concatenate(found), position[:100_000], rtol=0, atol=1e-9)
+
+
+def test_a_reader_that_is_given_up_leaves_no_thread(tmp_path, monkeypatch):
+    monkeypatch.setattr(laz_chunks.os, "cpu_count", lambda: 4)
+    las, _ = scan(6, 220_000)
+    las.write(str(tmp_path / "a.laz"))
+    with open_points(tmp_path / "a.laz") as reader:
+        chunks = reader.chunks()
+        next(chunks)
+        assert any(thread.name.startswith("PointSplat LAZ") for thread in threading.enumerate())
+        chunks.close()
+    assert not any(thread.name.startswith("PointSplat LAZ") for thread in threading.enumerate())
 
 
 def test_an_entwine_folder_is_read_level_by_level(tmp_path):

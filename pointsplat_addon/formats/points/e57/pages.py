@@ -46,7 +46,7 @@ class Pages:
         _, _, _, length, xml, xml_length, page = HEADER.unpack(head)
         if page != PAGE or length > size or length < PAGE or xml >= length or xml_length > length - xml:
             raise PointFileError(path, f"is {size:,} bytes long, where its header says {length:,} with text at {xml:,}")
-        self._pages = np.memmap(path, np.uint8, "r", shape=(int(length) // PAGE, PAGE))
+        self._pages = int(length) // PAGE
         self._first = self._end = 0  # pages of the window
         self._window = np.empty(0, np.uint8)
         self.xml_place, self.xml_length = self.logical(xml), int(xml_length)
@@ -54,7 +54,7 @@ class Pages:
     @property
     def size(self) -> int:
         """Bytes without checksums."""
-        return len(self._pages) * PAYLOAD
+        return self._pages * PAYLOAD
 
     def logical(self, physical: int) -> int:
         """A place in the file as one among the bytes without checksums."""
@@ -73,7 +73,12 @@ class Pages:
         return self._window[start : start + count].tobytes()
 
     def _look_at(self, page: int) -> None:
-        pages = np.asarray(self._pages[page : page + WINDOW])
+        # Read, not mapped: where a file shrinks, mapped memory ends the process.
+        wanted = min(WINDOW, self._pages - page) * PAGE
+        pages = np.fromfile(self._path, np.uint8, wanted, offset=page * PAGE)
+        if len(pages) < wanted:
+            raise PointFileError(self._path, f"ends at byte {page * PAGE + len(pages):,}, before its pages do")
+        pages = pages.reshape(-1, PAGE)
         stored = pages[:, PAYLOAD:].copy().view(">u4")[:, 0]
         wrong = np.flatnonzero(stored != checksums(pages[:, :PAYLOAD]))
         if len(wrong):
@@ -82,5 +87,4 @@ class Pages:
         self._window = pages[:, :PAYLOAD].reshape(-1)
 
     def close(self) -> None:
-        self._pages = np.empty((0, PAGE), np.uint8)
         self._window = np.empty(0, np.uint8)

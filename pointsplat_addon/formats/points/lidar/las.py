@@ -16,6 +16,7 @@ import numpy as np
 from ..columns import STANDARD, normalised
 from ..reader import CHUNK, Attribute, Columns, FileReader, Header, PointFileError, origin_of
 from .laz_check import check_chunks
+from .laz_chunks import decoded_in_order, threads_for
 
 if TYPE_CHECKING:
     from laspy import LasReader as LaspyReader
@@ -29,6 +30,16 @@ MOST_BYTES = 1 << 26
 GPS_START = 1e9  # seconds that "adjusted standard" GPS time leaves out
 COORDINATES = {"X", "Y", "Z"}
 COLORS = ("red", "green", "blue")
+PLACE = 8  # bytes of the place of the table of chunks, before the first of them
+# Layers of LAZ by the names of laspy; what is not here stands in the layer of x and y, which is always decoded.
+LAYER_OF = {
+    "intensity": "INTENSITY", "classification": "CLASSIFICATION", "scan_angle": "SCAN_ANGLE", "user_data": "USER_DATA",
+    "point_source_id": "POINT_SOURCE_ID", "gps_time": "GPS_TIME", "nir": "NIR", **dict.fromkeys(COLORS, "RGB"),
+    **dict.fromkeys(("synthetic", "key_point", "withheld", "overlap"), "FLAGS"),
+    **dict.fromkeys(("scan_direction_flag", "edge_of_flight_line"), "FLAGS"),
+    **dict.fromkeys(("wavepacket_index", "wavepacket_offset", "wavepacket_size"), "WAVEPACKET"),
+    **dict.fromkeys(("return_point_wave_location", "x_t", "y_t", "z_t"), "WAVEPACKET"),
+}  # fmt: skip
 
 
 class LasReader(FileReader):
@@ -37,6 +48,7 @@ class LasReader(FileReader):
     def __init__(self, path: Path, threads: bool = True) -> None:
         """`threads`: chunks of LAZ are decoded side by side."""
         self._path, self.warnings = path, []
+        self._packed, self._threads = [], 0  # chunks of LAZ (points, bytes), and how many threads decode them
         records = _check_header(path)
         self._file = path.open("rb")
         try:
@@ -92,22 +104,24 @@ class LasReader(FileReader):
             if not records:
                 raise PointFileError(self._path, "has compressed points, and no record that says how")
             start, length = header.offset_to_point_data, header.point_format.size
-            points = check_chunks(self._path, self._file, start, length, self._guarded(records[0].record_data_bytes))
+            record = self._guarded(records[0].record_data_bytes)
+            self._packed = check_chunks(self._path, self._file, start, length, record)
             self._file.seek(start)
-            if threads and points * length <= MOST_BYTES:
+            self._threads = threads_for(self._packed, length, MOST_BYTES) if threads else 0
+            if self._threads:
                 found.laz_backend = laspy.LazBackend.LazrsParallel  # the decoder is made when it is first asked
         return found
 
-    def _guarded(self, read: Any) -> Any:
+    def _guarded(self, read: Any, place: str = "") -> Any:
         """What `read` returns. Raises PointFileError for all that laspy and lazrs raise, also panics of the latter,
-        which are no Exceptions."""
+        which are no Exceptions; `place`: where in the file."""
         try:
             return read()
         except (KeyboardInterrupt, SystemExit, GeneratorExit, MemoryError, PointFileError):
             raise
         except BaseException as error:
             what = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise PointFileError(self._path, f"cannot be read: {what}") from error
+            raise PointFileError(self._path, f"cannot be read{place}: {what}") from error
 
     def _crs(self) -> str:
         """WKT, else the code of EPSG, of the file's records; empty where there is none that can be read."""
@@ -124,35 +138,69 @@ class LasReader(FileReader):
 
     def chunks(self, columns: Collection[str] | None = None, size: int = CHUNK) -> Iterator[Columns]:
         wanted = self.wanted(columns)
-        self._guarded(lambda: self._las.seek(0) if self.header.count else None)
-        size = max(1, min(size, MOST_BYTES // self._las.header.point_format.size))
+        length = self._las.header.point_format.size
+        size = max(1, min(size, MOST_BYTES // length))
         found = 0
-        while found < self.header.count:
-            count = min(size, self.header.count - found)
-            points = self._guarded(partial(self._las.read_points, count))
-            if len(points) == 0:
-                break
-            found += len(points)
-            yield {attribute.name: self._column(points, attribute) for attribute in wanted}
+        for points in self._side_by_side(wanted) if self._threads else self._one_by_one(wanted, size):
+            count = len(points["position"])
+            found += count
+            for first in range(0, count, size):
+                yield points if count <= size else {name: a[first : first + size] for name, a in points.items()}
         if found < self.header.count:
             self.warnings = [
                 f"{self._path.name}: its header promises {self.header.count:,} points, and it has {found:,}"
             ]
 
+    def _one_by_one(self, wanted: list[Attribute], size: int) -> Iterator[Columns]:
+        """Columns of all points in order, at most `size` at a time."""
+        self._guarded(lambda: self._las.seek(0) if self.header.count else None)
+        left = self.header.count
+        while left > 0:
+            points = self._guarded(partial(self._las.read_points, min(size, left)))
+            if len(points) == 0:
+                return
+            left -= len(points)
+            yield {attribute.name: self._column(points, attribute) for attribute in wanted}
+
+    def _side_by_side(self, wanted: list[Attribute]) -> Iterator[Columns]:
+        """Columns of each chunk of LAZ in order."""
+        start, selection = self._las.header.offset_to_point_data + PLACE, self._selection(wanted)
+
+        def decode(packed: bytes, count: int, before: int) -> Columns:
+            return self._unpacked(packed, count, wanted, selection, f" from point {before:,} on")
+
+        yield from decoded_in_order(self._file, start, self._packed, self.header.count, self._threads, decode)
+
     def chunk(self, packed: bytes, count: int, columns: Collection[str] | None = None) -> Columns:
         """Returns the `count` points of one chunk of a LAZ file, from its bytes, as `chunks` does. Threads may call it
         side by side. Raises PointFileError."""
+        return self._unpacked(packed, count, self.wanted(columns), None, "")
+
+    def _unpacked(self, packed: bytes, count: int, wanted: list[Attribute], selection: Any, place: str) -> Columns:
+        """The columns of a chunk of `count` points; `selection`: what lazrs is to decode, None: all; `place`: of the
+        chunk, for messages."""
         import laspy
         import lazrs
 
         header = self._las.header
         out = bytearray(count * header.point_format.size)
         [record] = [r for r in header.vlrs if r.user_id == "laszip encoded" and r.record_id == LASZIP]
-        table = [(count, len(packed))]
-        self._guarded(lambda: lazrs.decompress_points_with_chunk_table(packed, record.record_data_bytes(), out, table))
+        vlr, table = record.record_data_bytes(), [(count, len(packed))]
+        self._guarded(lambda: lazrs.decompress_points_with_chunk_table(packed, vlr, out, table, selection), place)
         raw = np.frombuffer(out, header.point_format.dtype(), count)
         points = laspy.ScaleAwarePointRecord(raw, header.point_format, header.scales, header.offsets)
-        return {attribute.name: self._column(points, attribute) for attribute in self.wanted(columns)}
+        return {attribute.name: self._column(points, attribute) for attribute in wanted}
+
+    def _selection(self, wanted: list[Attribute]) -> Any:
+        """What lazrs is to decode of layered points: what is wanted. Of others it decodes all."""
+        import lazrs
+
+        flag = lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL | lazrs.SELECTIVE_DECOMPRESS_Z
+        extra = set(self._las.header.point_format.extra_dimension_names)
+        for name in (name for attribute in wanted for name in attribute.source):
+            layer = "ALL_EXTRA_BYTES" if name in extra else LAYER_OF.get(name)
+            flag |= getattr(lazrs, f"SELECTIVE_DECOMPRESS_{layer}") if layer else 0
+        return lazrs.DecompressionSelection(flag)
 
     def part(self, first: int, count: int, columns: Collection[str] | None = None) -> Iterator[Columns]:
         """Yields, as `chunks` does, at most `count` points from number `first` on: those that there are."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from ..reader import PointFileError
 
@@ -21,9 +21,9 @@ LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 EXTRA_BYTES = 14
 
 
-def check_chunks(path: Path, file: BinaryIO, start: int, length: int, record: bytes) -> int:
-    """Returns the most points of a chunk, as the file says. Raises PointFileError where LASzip's record, the table or
-    a chunk does not fit the file.
+def check_chunks(path: Path, file: BinaryIO, start: int, length: int, record: bytes) -> list[tuple[int, int]]:
+    """Returns points and bytes of all chunks, as the file says; the last may have fewer points. Raises
+    PointFileError where LASzip's record, the table or a chunk does not fit the file.
 
     file: the LAZ file; its position is lost. start: bytes before its points. length: bytes of a point. record: LASzip's
     own, of the user id "laszip encoded".
@@ -55,7 +55,7 @@ def check_chunks(path: Path, file: BinaryIO, start: int, length: int, record: by
         if compressor == LAYERED and count:
             _check_layers(path, file, at, count, items)
         at += count
-    return max((points for points, _ in found), default=0)
+    return found
 
 
 def _items(path: Path, record: bytes) -> list[tuple[int, int]]:
@@ -68,7 +68,7 @@ def _items(path: Path, record: bytes) -> list[tuple[int, int]]:
     return [ITEM.unpack_from(record, HEAD.size + i * ITEM.size)[:2] for i in range(count)]
 
 
-def _table(path: Path, file: BinaryIO, start: int, record: bytes) -> list[Any]:
+def _table(path: Path, file: BinaryIO, start: int, record: bytes) -> list[tuple[int, int]]:
     """Points and bytes of all chunks."""
     import lazrs
 
