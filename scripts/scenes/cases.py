@@ -37,7 +37,7 @@ from scripts.scenes.solid_cases import (
     unlit,
     wide_balls,
 )
-from scripts.scenes.translucent_cases import in_fog, in_smoke, panes, smoke, tinted_smoke
+from scripts.scenes.translucent_cases import in_fog, in_smoke, panes, smoke, tinted_panes, tinted_smoke
 
 CASES: dict[str, Callable[[], Case]] = {
     function.__name__: cache(function)
@@ -71,6 +71,7 @@ CASES: dict[str, Callable[[], Case]] = {
         smoke,
         tinted_smoke,
         panes,
+        tinted_panes,
         captured_alone,
         captured_among,
         captured_in_smoke,

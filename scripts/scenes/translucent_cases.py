@@ -64,6 +64,29 @@ def panes() -> Case:
     )
 
 
+def tinted_panes() -> Case:
+    """Two panes of coloured glass, one of which is painted, before each other and a plane, under a sun, whose shadows
+    layers of maps show, and a lamp with a size."""
+    table = materials(
+        3, base_color=[[0.8, 0.8, 0.8], [0.0, 0.0, 0.0], [0.7, 0.6, 0.1]], alpha=[1.0, 0.0, 0.4],
+        translucent=np.array([False, True, True]),
+        transmission_color=np.array([[1, 1, 1], [0.9, 0.2, 0.1], [0.1, 0.4, 0.9]], np.float32),
+    )  # fmt: skip
+    front, back = (replace(plane_mesh(f"tinted pane {row}", 0.7), materials=(row,)) for row in (1, 2))
+    lamp = Light("POINT", np.full(3, 9.0), np.array([-0.5, -2.5, 1.5]), np.array([0.0, 1, 0]), radius=0.3)
+    return Case(
+        scene(
+            (mesh(front), moved((-0.3, -0.5, 0.2))),
+            (mesh(back), moved((0.3, 0.5, -0.2))),
+            (mesh(plane_mesh("plane behind panes", 2.0), "POLYGONS"), moved((0, 1.5, 0))),
+            lights=(sun(2.0, (0.3, 1.0, -0.4)), lamp),
+            table=table,
+        ),
+        camera(),
+        Settings(technique="IMAGE_SPACE", shadow_resolution=64),
+    )
+
+
 def in_fog() -> Case:
     """A ball of smoke, a cube and a sphere of points in a world of fog, with a lamp and a spot out of view: the fog
     next to lamps is brighter than any number of samples shows."""

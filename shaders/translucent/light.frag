@@ -1,6 +1,7 @@
 // One translucent splat of the draw list: its ellipse in pixels, its optical depth and the light that it sends to the
 // eye. Texel by texel; layouts: render/passes/translucent/page.py. Reference: scripts/common/media_truth.py.
-// PS_REACH: of every splat of a page instead, the shares of this many lights that reach it; PS_REACHED: they are known.
+// PS_REACH: of every splat of a page instead, the shares of this many lights that reach it; PS_REACHED: they are known;
+// PS_REACH_COLORED, PS_REACHED_COLORED: of each channel.
 // PS_KERNELS: some have a kernel of their own. PS_HOLDOUT: instances may cut holes instead.
 // PS_FUZZY: some are opaque (core/splat/painter.py), whose kernels are narrower by this factor. PS_CULL: some of these are not
 // drawn where they show their backs, PS_FUZZY_DISCONNECTED: some stand apart. PS_DEFOCUS: for the pass of what is out of focus,
@@ -99,7 +100,7 @@ void main()
   for (int i = 0; i < PS_REACH; i++) {
     share[i] = ps_transmittance(i, lit_position, facing, true);
   }
-#ifdef PS_SHADOW_COLORED
+#ifdef PS_REACH_COLORED
   out_reach_0 = vec4(share[0], 1.0);
 #if PS_REACH > 1
   out_reach_1 = vec4(share[1], 1.0);
@@ -212,7 +213,7 @@ void main()
   peak *= beyond;
   vec3 tint = vec3(1.0);
 #ifdef PS_TINT
-  tint = max(texelFetch(ps_tint, at, 0).rgb, PS_FAINT_TINT);
+  tint = max(texelFetch(ps_tint, at, 0).rgb, medium ? PS_FAINT_TINT : 0.0);
 #endif
 
   // Outside of the picture?
@@ -273,6 +274,9 @@ void main()
 #endif
   }
 
+#ifdef PS_SHADED
+  source *= texelFetch(ps_shaded, at, 0).rgb;
+#endif
 #if defined(PS_FOG) && !defined(PS_REACH)
   source = ps_in_fog(source, p, pixel, u.light_count);
 #endif
@@ -292,7 +296,9 @@ void main()
 #ifdef PS_DEFOCUS
   vec3 seen_as = wide - disk;
 #else
-  vec3 seen_as = wide;
+  // Of surfaces by their own plane, however they are widened, so that what lies close behind them is behind all of them.
+  float even = 1e-4 * (own.x + own.z) + 1e-12;
+  vec3 seen_as = medium ? wide : own + vec3(even, 0.0, even);
 #endif
   deep = -0.5 * vec3(a.z, b.z, c.z);
   vec2 together = deep.x * ua + deep.y * ub + deep.z * uc;

@@ -178,14 +178,73 @@ def test_gray_glass_lets_its_tint_through_and_shows_no_colour_of_its_own():
     assert row.constants["specular"] == (0,)
 
 
-def test_coloured_glass_before_white_shows_its_tint():
-    """Before something as bright as its own paint: alpha * paint + (1 - alpha) * white is the tint, where no channel
-    of it lies below the mean; those lie at the mean."""
-    tint = np.array([0.9, 0.5, 0.4])
-    row = convert_material(shader("ShaderNodeBsdfRefraction", Color=(*tint, 1)))
-    alpha = row.constants["alpha"][0]
-    seen = alpha * np.array(row.constants["base_color"]) + (1 - alpha)
-    np.testing.assert_allclose(seen, np.maximum(tint, tint.mean()), atol=1e-6)
+@pytest.mark.parametrize("kind", ["ShaderNodeBsdfTransparent", "ShaderNodeBsdfRefraction"])
+def test_coloured_glass_lets_its_tint_through_and_shows_no_colour_of_its_own(kind):
+    tint = (0.9, 0.5, 0.4)
+    row = convert_material(shader(kind, Color=(*tint, 1)))
+    assert row.translucent
+    assert row.transmission_color == pytest.approx(tint)
+    assert row.constants["alpha"] == (0,)
+    assert row.constants["base_color"] == (0, 0, 0)
+
+
+def passes(row):
+    """Shares of light that pass a material that is the same everywhere, (3,)."""
+    return transmittance(row) * np.array(row.transmission_color)
+
+
+def test_mixtures_pass_what_their_shaders_do_by_the_factor():
+    """T = (1 - f) Ta + f Tb, whatever else the shaders show."""
+    tints = (0.9, 0.5, 0.1), (0.2, 0.4, 1.0)
+
+    def mixed(second, factor=0.3):
+        def build(tree):
+            shaders = [node(tree, "ShaderNodeBsdfTransparent", {"Color": (*tints[0], 1)}), second(tree)]
+            inputs = {"Fac": factor, "Shader": shaders[0].outputs[0], "Shader_001": shaders[1].outputs[0]}
+            return node(tree, "ShaderNodeMixShader", inputs)
+
+        return convert_material(linked(build))
+
+    first = np.array(tints[0])
+    both = mixed(lambda tree: node(tree, "ShaderNodeBsdfTransparent", {"Color": (*tints[1], 1)}))
+    np.testing.assert_allclose(passes(both), 0.7 * first + 0.3 * np.array(tints[1]), atol=1e-6)
+    clear = mixed(lambda tree: node(tree, "ShaderNodeBsdfTransparent"))
+    np.testing.assert_allclose(passes(clear), 0.7 * first + 0.3, atol=1e-6)
+    gray = mixed(lambda tree: node(tree, "ShaderNodeBsdfTransparent", {"Color": (0.5, 0.5, 0.5, 1)}))
+    np.testing.assert_allclose(passes(gray), 0.7 * first + 0.15, atol=1e-6)
+    matt = mixed(lambda tree: node(tree, "ShaderNodeBsdfDiffuse", {"Color": (0.1, 0.2, 0.3, 1)}))
+    np.testing.assert_allclose(passes(matt), 0.7 * first, atol=1e-6)
+    assert matt.constants["alpha"] == pytest.approx((0.3,))
+    assert matt.constants["base_color"] == pytest.approx((0.1, 0.2, 0.3))
+
+
+def test_coloured_transmission_passes_the_root_of_the_base_colour_and_fades_by_alpha():
+    row = convert_material(
+        shader("ShaderNodeBsdfPrincipled", Base_Color=(0.81, 0.25, 0.04, 1), Transmission_Weight=1, IOR=1.5, Alpha=0.6)
+    )
+    np.testing.assert_allclose(passes(row), 0.4 + 0.6 * (1 - FRESNEL) * np.array([0.9, 0.5, 0.2]), atol=1e-6)
+
+
+def test_a_picture_tints_what_passes():
+    def build(tree):
+        vertex = node(tree, "ShaderNodeVertexColor", layer_name="Col").outputs["Color"]
+        return node(tree, "ShaderNodeBsdfTransparent", {"Color": vertex})
+
+    row = convert_material(linked(build))
+    assert row.translucent
+    assert row.graph is not None
+    tint = np.array([[0.2, 0.4, 0.8, 1], [1, 1, 1, 1]], np.float32)
+    out = evaluate_samples(row.graph, SampleInputs(colors={"Col": tint}, count=2))
+    np.testing.assert_allclose(out["transmission_color"], tint[:, :3], atol=1e-6)
+
+
+def test_only_coloured_materials_have_a_column():
+    red = shader("ShaderNodeBsdfTransparent", Color=(1, 0.2, 0.2, 1))
+    table, _ = convert_materials([red, shader("ShaderNodeBsdfTransparent", Color=(0.5, 0.5, 0.5, 1))])
+    assert table.transmission_color is not None
+    np.testing.assert_allclose(table.transmission_color, [[1, 1, 1], [1, 0.2, 0.2], [1, 1, 1]], rtol=1e-6)
+    table, _ = convert_materials([shader("ShaderNodeBsdfTransparent", Color=(0.5, 0.5, 0.5, 1))])
+    assert table.transmission_color is None
 
 
 def test_transmission_mixes_glass_with_the_painted_surface():
@@ -427,8 +486,8 @@ def cloud_of(scene, row=0):
 def at_centre(cloud):
     """Optical depth through the centres of balls: their mass times the kernel's peak."""
     radius = cloud.radii[:, 0].astype(float)
-    mass = 4 / 3 * np.pi * radius**3 * cloud.extinction
-    return PEAK * mass / (2 * np.pi * (radius / 2) ** 2)
+    mass = 4 / 3 * np.pi * radius**3 * cloud.extinction.T
+    return (PEAK * mass / (2 * np.pi * (radius / 2) ** 2)).T
 
 
 TWO = [(0, 0, 0), (1, 0, 0)]
@@ -503,6 +562,19 @@ def test_an_alpha_that_an_attribute_gives_is_each_points_own():
 
     pointcloud(TWO, linked(build), fade=("FLOAT", "value", [0.2, 0.7]))
     np.testing.assert_allclose(-np.expm1(-at_centre(cloud_of(sync()))), [0.2, 0.7], rtol=1e-6)
+
+
+def test_points_of_coloured_glass_hide_each_channel_by_what_it_does_not_pass():
+    """Balls, and disks, which have a normal."""
+    tint = np.array([0.9, 0.4, 0.2])
+    glass = shader("ShaderNodeBsdfTransparent", Color=(*tint, 1))
+    for more in ({}, {"normal": ("FLOAT_VECTOR", "vector", np.ravel([(0, 0, 1)] * 2))}):
+        pointcloud(TWO, glass, **more)
+        cloud = cloud_of(sync())
+        centre = -np.expm1(-at_centre(cloud)) if cloud.opacity is None else cloud.opacity
+        np.testing.assert_allclose(centre, np.broadcast_to(1 - tint, (2, 3)), rtol=1e-5)
+        np.testing.assert_array_equal(cloud.shaded, 0)
+        bpy.data.objects.remove(bpy.context.scene.objects[0])
 
 
 def test_a_medium_fills_the_points_by_their_own_density():

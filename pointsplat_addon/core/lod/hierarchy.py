@@ -58,12 +58,14 @@ class Hierarchy:
     smallest: np.ndarray  # (M,) float32: least `size` among the node and its descendants of two or more points
     # NODE_ATTRIBUTES follow; means are weighted by `splat_weight`, those of emission and color in media by mass.
     color: np.ndarray | None = None  # (M, 3) float32, mean
-    opacity: np.ndarray | None = None  # (M,) float32: one minus the transmittance of the node's kernel as it is drawn
+    # (M,) or (M, 3) float32: one minus the transmittance of the node's kernel as it is drawn
+    opacity: np.ndarray | None = None
     surface: np.ndarray | None = None  # (M, 2) float32, mean
     emission: np.ndarray | None = None  # (M, 3) float32, mean; in media of the kernel as it is drawn
     shading_normal: np.ndarray | None = None  # (M, 3) float32, mean, not normalised
     velocity: np.ndarray | None = None  # (M, 3) float32, mean
     extinction: np.ndarray | None = None  # (M,) or (M, C) float32, of the kernel as it is drawn (`points_and_nodes`)
+    shaded: np.ndarray | None = None  # (M, 3) float32, mean
     value: np.ndarray | None = None  # (M,) float32, mean
     material: np.ndarray | None = None  # (M,) uint16, of the heaviest child
     kernel: np.ndarray | None = None  # (M,) uint8, 0: many splats of any profile look like one of the default

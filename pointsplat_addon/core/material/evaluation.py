@@ -21,6 +21,7 @@ CHANNELS: dict[str, tuple[int, float | None]] = {
     "alpha": (1, 1.0),
     "emission": (3, None),
     "normal": (3, None),
+    "transmission_color": (3, 1.0),
 }
 SURFACE_COLUMNS = ("roughness", "metallic")  # of Appearance.surface
 
@@ -34,6 +35,7 @@ class Appearance:
     emission: np.ndarray | None = None  # (N, 3) float32
     normal: np.ndarray | None = None  # (N, 3) float32, unit, object space
     alpha: np.ndarray | None = None  # (N,) float32
+    transmission_color: np.ndarray | None = None  # (N, 3) float32
 
 
 @record
@@ -45,6 +47,7 @@ class SurfaceConstants:
     metallic: np.ndarray  # (M,) float32
     emission: np.ndarray  # (M, 3) float32
     alpha: np.ndarray  # (M,) float32
+    transmission_color: np.ndarray | None = None  # (M, 3) float32; None: all 1
 
 
 def evaluate_materials(
@@ -76,6 +79,9 @@ def evaluate_materials(
         out["normal"] = normal.copy()
     if "alpha" in channels:
         out["alpha"] = constants.alpha[rows]
+    if "transmission_color" in channels:
+        colors = constants.transmission_color
+        out["transmission_color"] = np.ones((len(rows), 3), np.float32) if colors is None else colors[rows]
 
     for row, graph in graphs.items():
         found = np.flatnonzero(rows == row)
@@ -100,9 +106,8 @@ def _of_one_material(
         surface = np.empty((count, len(SURFACE_COLUMNS)), np.float32)
         for column, name in zip(surface.T, SURFACE_COLUMNS, strict=True):
             column[:] = values.get(name, getattr(constants, name)[row])
-    return Appearance(
-        values.get("base_color"), surface, values.get("emission"), values.get("normal"), values.get("alpha")
-    )
+    rest = (values.get(name) for name in ("emission", "normal", "alpha", "transmission_color"))
+    return Appearance(values.get("base_color"), surface, *rest)
 
 
 def evaluate_samples(graph: MaterialGraph, inputs: SampleInputs) -> dict[str, np.ndarray]:

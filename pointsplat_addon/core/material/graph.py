@@ -22,6 +22,7 @@ class MaterialGraph:
     alpha: Expression | None = None  # (N, 1)
     emission: Expression | None = None  # (N, 3) colour times strength
     normal: Expression | None = None  # (N, 3) unit, object space
+    transmission_color: Expression | None = None  # (N, 3)
 
     @property
     def channels(self) -> dict[str, Expression]:

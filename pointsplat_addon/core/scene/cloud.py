@@ -18,12 +18,13 @@ ATTRIBUTES: dict[str, tuple[tuple[int, ...] | None, type]] = {
     "axis": ((3,), np.float32),
     "radii": (None, np.float32),
     "color": ((3,), np.float32),
-    "opacity": ((), np.float32),
+    "opacity": (None, np.float32),
     "surface": ((2,), np.float32),
     "emission": ((3,), np.float32),
     "shading_normal": ((3,), np.float32),
     "velocity": ((3,), np.float32),
     "extinction": (None, np.float32),
+    "shaded": ((3,), np.float32),
     "material": ((), np.uint16),
     "value": ((), np.float32),
     "kernel": ((), np.uint8),
@@ -55,12 +56,14 @@ class PointCloud:
     axis: np.ndarray | None = None  # (N, 3) float32, unit, perpendicular to normal
     radii: np.ndarray | None = None  # (N, 1 | 2 | 3) float32, half-axes in object units
     color: np.ndarray | None = None  # (N, 3) float32, scene-linear base colour
-    opacity: np.ndarray | None = None  # (N,) float32, at the splat's centre
+    opacity: np.ndarray | None = None  # (N,) or (N, 3) float32, at the splat's centre
     surface: np.ndarray | None = None  # (N, 2) float32: roughness, metallic (where they vary within a material)
     emission: np.ndarray | None = None  # (N, 3) float32, scene-linear emitted radiance (where it varies)
     shading_normal: np.ndarray | None = None  # (N, 3) float32, unit where they are not the splat's own `normal`
     velocity: np.ndarray | None = None  # (N, 3) float32, object units a frame: how points move within their object
     extinction: np.ndarray | None = None  # (N,) or (N, 3) float32, per object unit
+    # (N, 3) float32, 0 to 1: how much of what each channel hides shows the splat's light, where the rest is absorbed
+    shaded: np.ndarray | None = None
     material: np.ndarray | None = None  # (N,) uint16, rows of the material table
     value: np.ndarray | None = None  # (N,) float32, physical scalar for transfer functions
     kernel: np.ndarray | None = (

@@ -43,6 +43,8 @@ class MaterialTable:
     # (M,) bool: light passes through (alpha below 1 somewhere, or transmission), so the material's surfaces are drawn
     # as translucent splats; None: nowhere
     translucent: np.ndarray | None = None
+    # (M, 3) float32, 0 to 1: the light that passes, 1 - alpha, is multiplied by this; None: all 1
+    transmission_color: np.ndarray | None = None
     media: tuple[Medium | None, ...] = ()  # what fills volumes of each material
     graphs: tuple[object | None, ...] = ()  # core.materials.Graph for materials whose inputs vary, else None
     hair: HairTable | None = None  # what strands of the materials are besides; None: none of them is hair

@@ -69,6 +69,7 @@ RULES: dict[type, dict[str, Rule]] = {
         "specular": Rule(CLAMP, 0, 1e6),
         "emission": Rule(CLAMP, -1e9, 1e9),
         "alpha": Rule(CLAMP, 0, 1),
+        "transmission_color": Rule(CLAMP, 0, 1),
         "anisotropy": Rule(CLAMP, -1, 1),
     },
     HairTable: {
@@ -119,7 +120,7 @@ RULES: dict[type, dict[str, Rule]] = {
         **{name: Rule(REMOVE, *_DISTANCE) for name in LENGTHS},
         "velocity": Rule(DEFAULT, *_DISTANCE),  # the point has not moved
         **dict.fromkeys(
-            ("color", "opacity", "surface", "emission", "extinction", "value", "share"),
+            ("color", "opacity", "surface", "emission", "extinction", "shaded", "value", "share"),
             Rule(REMOVE, -FLOAT32, FLOAT32),
         ),
     },

@@ -106,7 +106,7 @@ def casters(cloud: PointCloud, world_from_object: np.ndarray) -> Casters:
             least = np.float32(np.exp(-OPAQUE_DEPTH / 2))  # float32 holds it
             mass = -np.log(np.maximum(1 - np.clip(cloud.opacity, 0, 1), least))
             mass[cloud.opacity >= 1] = OPAQUE_DEPTH
-            size = size * mass
+            size = size * (mass if mass.ndim == 1 else mass.sum(axis=1))
         good = _finite(position) & np.isfinite(size) & (size > 0)
         good &= _finite(axes) if axes is not None else np.isfinite(radii[:, 0])
     if mass is not None:

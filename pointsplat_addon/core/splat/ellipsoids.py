@@ -21,7 +21,7 @@ class SplatFrames(NamedTuple):
 def splat_weight(cloud: PointCloud, which: slice) -> np.ndarray:
     """How much each splat counts in averages: (n,) float64, positive.
 
-    The area over pi (1 for points without extent) times the opacity; in media the volume over 4/3 pi.
+    The area over pi (1 for points without extent) times the mean opacity; in media the volume over 4/3 pi.
     """
     weight = np.ones(len(cloud.position[which]))
     if cloud.extinction is not None and cloud.radii is not None:
@@ -31,7 +31,8 @@ def splat_weight(cloud: PointCloud, which: slice) -> np.ndarray:
         flat = cloud.axis is not None and r.shape[1] > 1
         weight = r[:, 0] * r[:, 1 if flat else 0]
     if cloud.opacity is not None:
-        weight = weight * cloud.opacity[which]
+        opacity = cloud.opacity[which]
+        weight = weight * (opacity if opacity.ndim == 1 else opacity.mean(axis=1))
     # Splats without area or opacity still have a position: their weight only counts among their like.
     return np.maximum(weight, 1e-60)
 

@@ -43,16 +43,23 @@ def digest(mesh: Mesh, table: MaterialTable) -> str:
     if (passes := passing(mesh, table)) is not None:
         rows = list(mesh.materials)
         parts += [passes[rows].tobytes().hex(), table.alpha[rows].tobytes().hex()]
+        if table.transmission_color is not None:
+            parts.append(table.transmission_color[rows].tobytes().hex())
     return "|".join(parts)
 
 
 def hiding(table: MaterialTable) -> MaterialTable:
-    """What of the materials decides how much light they let through: their alphas, and graphs of nothing else. All
-    other constants are 0, so that digests of shadows' samples do not tell them apart."""
-    graphs = [graph.alpha if isinstance(graph, MaterialGraph) else None for graph in table.graphs]
+    """What of the materials decides how much light they let through: their alphas and transmission colours, and graphs
+    of nothing else. All other constants are 0, so that digests of shadows' samples do not tell them apart."""
+    graphs = [
+        MaterialGraph(alpha=graph.alpha, transmission_color=graph.transmission_color)
+        if isinstance(graph, MaterialGraph)
+        else MaterialGraph()
+        for graph in table.graphs
+    ]
     return replace(
         table,
-        graphs=tuple(None if alpha is None else MaterialGraph(alpha=alpha) for alpha in graphs),
+        graphs=tuple(graph if graph.channels else None for graph in graphs),
         base_color=np.zeros_like(table.base_color),
         roughness=np.zeros_like(table.roughness),
         metallic=np.zeros_like(table.metallic),
@@ -71,15 +78,22 @@ def split_translucent(mesh: Mesh, table: MaterialTable) -> tuple[Mesh | None, Me
     """The opaque and the translucent part of a mesh, by material; None where there is none.
 
     What is all of one kind is the mesh itself. Parts share its vertices, and have content keys that tell from which
-    materials they are. Triangles with a constant alpha of 0 are in neither.
+    materials they are. Triangles that are clear everywhere are in neither.
     """
     passes = passing(mesh, table)
     if passes is None:
         return mesh, None
     graphs = graphs_of(mesh, table)
-    seen = [row for row in mesh.materials if table.alpha[row] > 0 or (row in graphs and graphs[row].alpha is not None)]
+    seen = [row for row in mesh.materials if _shows(table, row, graphs.get(row))]
     opaque = _part(mesh, tuple(row for row in seen if not passes[row]))
     return opaque, _part(mesh, tuple(row for row in seen if passes[row]))
+
+
+def _shows(table: MaterialTable, row: int, graph: MaterialGraph | None) -> bool:
+    """Whether a material may hide something, or colour it."""
+    if table.alpha[row] > 0 or (graph is not None and graph.channels.keys() & {"alpha", "transmission_color"}):
+        return True
+    return table.transmission_color is not None and bool((table.transmission_color[row] < 1).any())
 
 
 def _part(mesh: Mesh, rows: tuple[int, ...]) -> Mesh | None:
@@ -107,7 +121,8 @@ def point_cloud(
     value (N,) float32: PointCloud.value of the samples.
 
     With a translucent material there are opacities, which are shares: overlapping splats add up to the alpha A. A
-    sample that stands for the area S has the optical mass -ln(1 - A) S, spread over its ellipse.
+    sample that stands for the area S has the optical mass -ln(1 - A) S, spread over its ellipse. With a transmission
+    colour C they have three channels, T = (1 - A) C.
     """
     cloud = PointCloud(
         evaluated.position,
@@ -128,26 +143,42 @@ def point_cloud(
     cloud = replace(cloud, color=look.color, surface=look.surface, emission=look.emission)
     passes = passing(mesh, table)
     if passes is not None:
-        cloud = _with_opacity(cloud, passes[cloud.material], look.alpha, sample_areas(mesh, samples), table)
+        cloud = _with_opacity(cloud, passes[cloud.material], look, sample_areas(mesh, samples), table)
     elif look.alpha is not None:
         cloud = cloud.take(look.alpha >= CLIP)
     return valid_points(cloud)[0]  # ellipses around triangles may be larger than these
 
 
 def _with_opacity(
-    cloud: PointCloud, passes: np.ndarray, alpha: np.ndarray | None, area: np.ndarray, table: MaterialTable
+    cloud: PointCloud, passes: np.ndarray, look: Appearance, area: np.ndarray, table: MaterialTable
 ) -> PointCloud:
-    """The splats that show, with their shares of opacity. passes (N,) bool: translucent; alpha, area (N,)."""
+    """The splats that show, with their shares of opacity. passes (N,) bool: translucent; area (N,)."""
     assert cloud.radii is not None
-    if alpha is None:
-        alpha = table.alpha[cloud.material]
-    shows = np.where(passes, alpha > 0, alpha >= CLIP)
+    assert cloud.material is not None
+    alpha = table.alpha[cloud.material] if look.alpha is None else look.alpha
+    hidden, shaded = np.where(passes, alpha, 1), None
+    color = look.transmission_color
+    if color is None and table.transmission_color is not None:
+        color = table.transmission_color[cloud.material]
+    if color is not None and (color[passes] < 1).any():
+        hidden, shaded = hidden_and_shaded(hidden, color)
+    most = hidden if hidden.ndim == 1 else hidden.max(axis=1)
+    shows = np.where(passes, most > 0, alpha >= CLIP)
     radii = cloud.radii * np.where(passes, np.float32(OVERLAP), np.float32(1))[:, None]
-    depth = optical_depth(np.where(passes, alpha, 1))
     with np.errstate(divide="ignore", invalid="ignore"):
-        depth *= area / (np.pi * radii[:, 0].astype(np.float64) * radii[:, -1])
-    opacity = np.where(passes, -np.expm1(-np.minimum(depth, OPAQUE)), 1).astype(np.float32)
-    return replace(cloud, radii=radii, opacity=opacity).take(shows)
+        share = area / (np.pi * radii[:, 0].astype(np.float64) * radii[:, -1])
+        depth = (optical_depth(hidden).T * share).T
+    opaque = passes if hidden.ndim == 1 else passes[:, None]
+    opacity = np.where(opaque, -np.expm1(-np.minimum(depth, OPAQUE)), 1).astype(np.float32)
+    return replace(cloud, radii=radii, opacity=opacity, shaded=shaded).take(shows)
+
+
+def hidden_and_shaded(alpha: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What surfaces of the alphas (N,) and transmission colours (N, 3) hide in each channel, (N, 3) float32, and how
+    much of that shows their own light: PointCloud.shaded."""
+    hidden = (1 - (1 - alpha[:, None]) * color).astype(np.float32)
+    shaded = np.divide(alpha[:, None], hidden, out=np.ones_like(hidden), where=hidden > alpha[:, None])
+    return hidden, shaded
 
 
 def optical_depth(alpha: np.ndarray) -> np.ndarray:
@@ -157,15 +188,15 @@ def optical_depth(alpha: np.ndarray) -> np.ndarray:
 
 
 def ball_extinction(alpha: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """(N,) float32 extinction of balls whose centres have these alphas (N,); radii (N,) in object units.
+    """Extinction of balls whose centres have these alphas, (N,) or (N, 3); radii (N,) in object units; float32.
 
     A ball of radius r, two standard deviations, has the mass m = 4/3 pi r^3 extinction, and its kernel the depth
     PEAK m / (2 pi (r / 2)^2) at the centre.
     """
     with np.errstate(divide="ignore"):
-        extinction = optical_depth(alpha) / PEAK * 3 / (8 * radius.astype(np.float64))
+        extinction = optical_depth(alpha).T / PEAK * 3 / (8 * radius.astype(np.float64))
     # Balls of no extent have no mass.
-    return np.where(radius > 0, np.minimum(extinction, np.finfo(np.float32).max), 0).astype(np.float32)
+    return np.where(radius > 0, np.minimum(extinction, np.finfo(np.float32).max), 0).T.astype(np.float32)
 
 
 def at_samples(mesh: Mesh, samples: Samples, evaluated: Evaluated, table: MaterialTable) -> Appearance:

@@ -24,7 +24,7 @@ def view(collection: Any, shape: tuple[int, ...], dtype: type) -> np.ndarray:
         return np.zeros((0, *shape[1:]), dtype)
     count = math.prod(shape)
     # Several times as fast as by a pointer, which files of many small objects tell.
-    memory = (ctypes.c_char * (count * np.dtype(dtype).itemsize)).from_address(collection[0].as_pointer())
+    memory: Any = (ctypes.c_char * (count * np.dtype(dtype).itemsize)).from_address(collection[0].as_pointer())
     return np.frombuffer(memory, dtype, count).reshape(shape)
 
 

@@ -21,7 +21,7 @@ from ...core.numeric.vectors import column_ranges, each_block, moved_rows, put_r
 from ...core.scene.cloud import PointCloud, coherent_places
 from ...core.scene.volume import Medium, Volume
 from ...core.splat.kernel import PROFILES
-from ...core.surface.appearance import CLIP, ball_extinction
+from ...core.surface.appearance import CLIP, ball_extinction, hidden_and_shaded
 from ...core.surface.nearest import median_spacing
 from ...core.surface.neighbourhoods.estimate import Ellipses
 from ...core.volume.optics import voxel_optics
@@ -165,9 +165,16 @@ def _make_cloud(points: Points, material: SampleMaterial, shape: PointShape, loo
     alpha = fields.get("alpha")
     if alpha is None and (points.opacity is not None or material.alpha < 1):
         alpha = np.full(count, material.alpha, np.float32)
-    if alpha is not None and points.opacity is not None:
-        alpha = alpha * _in_order(points.opacity, places)
-    return cloud if alpha is None else _with_alpha(cloud, alpha, material)
+    if alpha is None:
+        return cloud
+    color, shaded = fields.get("transmission_color"), None
+    if color is None and min(material.transmission_color) < 1:
+        color = np.full((count, 3), material.transmission_color, np.float32)
+    if color is not None:
+        alpha, shaded = hidden_and_shaded(alpha, color)
+    if points.opacity is not None:
+        alpha = (alpha.T * _in_order(points.opacity, places)).T
+    return _with_alpha(replace(cloud, shaded=shaded), alpha, material)
 
 
 def _in_order(array: np.ndarray, places: np.ndarray | None) -> np.ndarray:
@@ -205,7 +212,8 @@ def _evaluated(
         if shaped and normal is not None and part.normal is not None:
             normal[~part.normal.any(axis=1)] = 0  # balls among disks
         named = {"position": part.position, "normal": normal, "color": look.color, "surface": look.surface,
-                 "emission": look.emission, "alpha": look.alpha}  # fmt: skip
+                 "emission": look.emission, "alpha": look.alpha,
+                 "transmission_color": look.transmission_color}  # fmt: skip
         return {name: array for name, array in named.items() if array is not None}
 
     found = {name: np.empty((count, *a.shape[1:]), a.dtype) for name, a in look_at(slice(0, 1)).items()}
@@ -247,18 +255,19 @@ def _with_medium(cloud: PointCloud, grids: dict[str, np.ndarray], material: Samp
 
 
 def _gaussians(cloud: PointCloud, extinction: np.ndarray, material: SampleMaterial) -> PointCloud:
-    """The cloud as Gaussians of this extinction (N,); a very deep one emits the radiance of the material's surface."""
+    """The cloud as Gaussians of this extinction (N,) or (N, 3); a very deep one emits the radiance of the material's
+    surface."""
     radiance = cloud.emission
     if radiance is None and any(material.emission):
         radiance = np.array([material.emission], np.float32)
-    emission = None if radiance is None else radiance * extinction[:, None]
+    emission = None if radiance is None else radiance * extinction.reshape(len(cloud), -1)
     return replace(cloud, normal=None, extinction=extinction, emission=emission)
 
 
 def _with_alpha(cloud: PointCloud, alpha: np.ndarray, material: SampleMaterial) -> PointCloud:
     """The cloud without invisible points; translucent ones get an opacity if they have normals, else an extinction.
 
-    alpha: (N,). Materials that are not translucent are cut out where it is below CLIP.
+    alpha: (N,), or of each channel, (N, 3). Materials that are not translucent are cut out where it is below CLIP.
     """
     if material.graph is not None and not material.translucent:
         return cloud if (alpha >= CLIP).all() else cloud.take(alpha >= CLIP)
@@ -269,7 +278,7 @@ def _with_alpha(cloud: PointCloud, alpha: np.ndarray, material: SampleMaterial) 
     else:
         assert cloud.radii is not None
         cloud = _gaussians(cloud, ball_extinction(alpha, cloud.radii[:, 0]), material)
-    return cloud.take(alpha > 0)
+    return cloud.take(alpha > 0 if alpha.ndim == 1 else (alpha > 0).any(axis=1))
 
 
 # Attributes

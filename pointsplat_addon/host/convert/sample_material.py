@@ -37,12 +37,14 @@ class SampleMaterial:
     medium: Medium | None = None  # of a material with a volume and no surface
     extinction: float = 0.0  # the object's own, per object unit; 0 takes the material's
     base_color: tuple[float, ...] = (0.8, 0.8, 0.8)  # of strands, which may have several materials
+    transmission_color: tuple[float, ...] = (1.0, 1.0, 1.0)
 
     @property
     def key(self) -> str:
         """What tells materials apart whose samples differ, but for the base colour."""
         volume = None if self.medium is None else [np.asarray(v).tolist() for v in vars(self.medium).values()]
         looks = self.roughness, self.metallic, self.emission, self.alpha, self.translucent, self.extinction
+        looks += self.transmission_color
         return repr((self.row, self.graph and self.graph.digest, looks, volume))
 
 
@@ -62,6 +64,7 @@ def sample_material(table: MaterialTable, row: int, extinction: float = 0.0) -> 
         table.media[row] if row < len(table.media) and alpha == 0 and not varies else None,
         extinction,
         tuple(table.base_color[row].tolist()),
+        (1.0, 1.0, 1.0) if table.transmission_color is None else tuple(table.transmission_color[row].tolist()),
     )
 
 
@@ -71,9 +74,8 @@ def surface_constants(materials: Sequence[SampleMaterial]) -> SurfaceConstants:
     def column(name: str) -> np.ndarray:
         return np.array([getattr(m, name) for m in materials], np.float32)
 
-    return SurfaceConstants(
-        column("base_color"), column("roughness"), column("metallic"), column("emission"), column("alpha")
-    )
+    names = ("base_color", "roughness", "metallic", "emission", "alpha", "transmission_color")
+    return SurfaceConstants(*map(column, names))
 
 
 def generated_coordinates(position: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

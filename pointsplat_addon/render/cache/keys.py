@@ -82,6 +82,7 @@ class Kind(Enum):
     NESTED_MAPS = auto()  # and of those that are nested in them, for a camera
     SKETCH = auto()  # of a geometry, by which is found what is seen
     PANE_MAPS = auto()  # those of panes
+    PANE_FACES = auto()  # and the faces of these
     # On the device
     PAGE = auto()
     TRANSLUCENT_PAGE = auto()

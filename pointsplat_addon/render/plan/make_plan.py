@@ -274,6 +274,9 @@ def _shadows(shadows: Shadows) -> tuple[str, ...]:
         "PS_SHADOW_NESTED": maps is not None and maps.nested,
         "PS_SHADOW_STRANDS": maps is not None and maps.strands is not None,
         "PS_SHADOW_PANES": shadows.panes is not None,
+        "PS_PANES_COLORED": shadows.panes is not None and shadows.panes.channels > 1,
+        "PS_SHADOW_FACES": shadows.faces is not None,
+        "PS_FACES_COLORED": shadows.faces is not None and shadows.faces.colored,
     }
     if shadows.tables is not None:
         packed = shadows.tables.packed

@@ -1,8 +1,9 @@
-"""Panes: what lets through the same share of light everywhere, as glass does, in layers of depth maps seen from lights.
+"""Panes: what lets through the same light everywhere, as glass does, in layers of depth maps seen from lights.
 
 Each layer holds for every texel the nearest pane behind that of the layer before, by depth peeling (Everitt 2001), and
-the share of light that it and all panes before it let through: as sharp as the shadows of what is opaque, and without
-samples. Where more panes lie behind each other than there are layers, tables hold what casts.
+the share of light that it and all panes before it let through, of each channel where some are coloured: as sharp as the
+shadows of what is opaque, and without samples. Where more panes lie behind each other than there are layers, tables
+hold what casts. Lights with a size look at faces instead (pane_faces.py).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from ...core.numeric import segments
 from ...core.numeric.linear import all_finite
 from ...core.numeric.record import record
 from ...core.scene.lights import Light
+from ...core.scene.materials import MaterialTable
 from ...core.scene.scene import Scene
 from ...core.surface.appearance import graphs_of
 from ..cache.keys import Key, Kind
@@ -29,6 +31,7 @@ from .maps import ShadowMaps, casting_boxes, takes_map
 MOST_LAYERS = 8
 MOST_TRIANGLES = 1 << 14  # of all panes
 MOST_TEXELS = 1 << 24  # of all layers together, each of which holds depths and shares: 64 MiB
+CHANNELS = 1, 3  # of shares: where all panes are grey, and else
 PLACES = 64  # along the longer side of a view, at which panes behind each other are counted
 MOST_TESTED = 1 << 22  # places in the boxes around all triangles: if there are more, so are layers
 
@@ -39,6 +42,7 @@ class PaneMaps:
 
     maps: ShadowMaps
     layers: int
+    channels: int  # of shares, one of CHANNELS
 
     @property
     def key(self) -> Key:
@@ -46,30 +50,42 @@ class PaneMaps:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Of the texture of all layers: below each layer's shares, above that its depths, and above both the next."""
-        width, height = self.maps.size
-        return width, 2 * self.layers * height
+        """Of the texture of all layers: each layer's depths, then the shares of each channel, then the next layer."""
+        return self.maps.size[0], self.layers * self.layer_height
+
+    @property
+    def layer_height(self) -> int:
+        """Texels from one layer to the next."""
+        return (1 + self.channels) * self.maps.size[1]
 
     def records(self, view_from_world: np.ndarray) -> np.ndarray:
         """Returns ps_pane_lights, float32 texels of four, for a view, (4, 4) float64, rigid: a row for each light.
 
-        Rows are those of ShadowMaps.records; texel 3 also holds the number of layers, and texels from one to the next.
+        Rows are those of ShadowMaps.records; texel 3 also holds the number of layers, and how many texels it is from
+        one to the next, and from depths to shares and from channel to channel.
         """
         found = self.maps.records(view_from_world)
-        found[:, 3, 1], found[:, 3, 2] = self.layers, 2 * self.maps.size[1]
+        found[:, 3, 1:] = self.layers, self.layer_height, self.maps.size[1]
         return found
 
 
 def casts_as_pane(scene: Scene, caster: CastingGeometry) -> bool:
-    """Tells whether maps of panes may show a caster: a mesh of materials that each let the same share of light through
+    """Tells whether maps of panes may show a caster: a mesh of materials that each let the same light through
     everywhere."""
     geometry, mesh = caster.geometry, caster.geometry.mesh
     if mesh is None or not is_translucent(geometry, scene.materials):
         return False
     graphs = graphs_of(mesh, scene.materials)
-    constant = all(row not in graphs or graphs[row].alpha is None for row in mesh.materials)
+    constant = not any(graph.channels.keys() & {"alpha", "transmission_color"} for graph in graphs.values())
     few = len(mesh.triangles) * len(caster.matrices) <= MOST_TRIANGLES
     return constant and few and bool(all_finite(caster.matrices.astype(np.float32)).all())
+
+
+def pane_shares(materials: MaterialTable) -> np.ndarray:
+    """Returns the share of light that a pane of each material lets through, (M, 1) float32, or (M, 3) where some is
+    coloured."""
+    clear = 1 - materials.alpha[:, None]
+    return clear if materials.transmission_color is None else clear * materials.transmission_color
 
 
 def takes_panes(light: Light) -> bool:
@@ -95,7 +111,9 @@ def make_panes(
         (c.geometry.key, transmission_digest(scene, c.geometry), hashed(c.matrices.tobytes())) for c in casters
     )
     keys = tuple(None if light is None else light_key(light) for light in chosen)
-    key = Key(Kind.PANE_MAPS, hashed((look, keys)), other=(resolution, texture_size))
+    channels = pane_shares(scene.materials).shape[1]
+    textures = 1 + channels
+    key = Key(Kind.PANE_MAPS, hashed((look, keys)), other=(resolution, texture_size, channels))
     boxes = casting_boxes(casters, store)
 
     def make() -> PaneMaps | None:
@@ -103,11 +121,11 @@ def make_panes(
         layers = _layers(views, np.concatenate([_corners_in_world(caster) for caster in casters]))
         if not 0 < layers <= MOST_LAYERS:
             return None
-        arranged, size = placed(views, texture_size // (2 * layers), most=MOST_TEXELS // (2 * layers))
-        if 2 * layers * size[1] > texture_size:
+        arranged, size = placed(views, texture_size // (textures * layers), most=MOST_TEXELS // (textures * layers))
+        if textures * layers * size[1] > texture_size:
             return None
         cast = tuple((c.geometry.key, c.matrices) for c in casters)
-        return PaneMaps(ShadowMaps(key, tuple(arranged), size, cast), layers)
+        return PaneMaps(ShadowMaps(key, tuple(arranged), size, cast), layers, channels)
 
     return store.lookup(key, make)
 

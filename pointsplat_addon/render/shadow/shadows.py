@@ -1,7 +1,8 @@
 """Makes what casts the shadows of a scene's lights, once for all views, and caches it by lights and geometry.
 
 Lights see opaque meshes and clouds in depth maps, which the device draws (maps.py), and strands, too, where the
-visibility buffer draws. All else casts into tables, sampled as densely as these resolve, independent of any view: what
+visibility buffer draws. Panes have layers of depth maps (panes.py), or faces that lights with a size look at
+(pane_faces.py). All else casts into tables, sampled as densely as these resolve, independent of any view: what else
 light passes through, strands as wide as ropes, and by other techniques all strands.
 """
 
@@ -29,6 +30,7 @@ from .casting import CastingGeometry, casting_geometries, light_key, transmissio
 from .floors import is_lone_body, split_floors
 from .maps import ShadowMaps, casts_as_strands, casts_into_map, make_maps, takes_map
 from .packed_tables import PackedTables, pack
+from .pane_faces import PaneFaces, make_faces, takes_faces
 from .panes import PaneMaps, casts_as_pane, make_panes, takes_panes
 from .spacing import sample_spacings
 
@@ -58,12 +60,13 @@ class Shadows:
     tables: Tables | None
     maps: ShadowMaps | None
     panes: PaneMaps | None = None
+    faces: PaneFaces | None = None
 
     @property
     def key(self) -> tuple[Key | None, ...]:
         """Of what casts, for all views."""
         maps = self.maps and (self.maps.of_scene or self.maps)
-        return self.tables and self.tables.key, maps and maps.key, self.panes and self.panes.key
+        return tuple(one and one.key for one in (self.tables, maps, self.panes, self.faces))
 
     @property
     def wide(self) -> bool:
@@ -113,18 +116,20 @@ def make_shadows(
     clear = [casts_as_pane(scene, caster) for caster in casters]
     shown = [caster for caster, one, floor in zip(casters, clear, floors, strict=True) if one and not floor]
     panes = make_panes(scene, lights, shown, settings.shadow_resolution, store, texture_size)
+    faces = make_faces(scene, lights, shown, store)
     build = _TableBuilder(scene, settings.shadow_resolution, store, on_disk, check)
     everything = _Cast(casters, floors)
     unmapped = [light for light in lights if light.shadow and not takes_map(light)]
     mapped = [light for light in lights if light.shadow and takes_map(light)]
-    hard = [light for light in mapped if panes is not None and takes_panes(light)]
-    soft = [light for light in mapped if not (panes is not None and takes_panes(light))]
+    exact = [(panes is not None and takes_panes(one)) or (faces is not None and takes_faces(one)) for one in mapped]
+    looking = [light for light, one in zip(mapped, exact, strict=True) if one]
+    others = [light for light, one in zip(mapped, exact, strict=True) if not one]
     neither = [one or other for one, other in zip(drawn, clear, strict=True)]
-    wanted = [(unmapped, everything), (soft, everything.without(drawn)), (hard, everything.without(neither))]
+    wanted = [(unmapped, everything), (others, everything.without(drawn)), (looking, everything.without(neither))]
     tables = build.tables(lights, wanted)
-    if tables is None and maps is None and panes is None:
+    if tables is None and maps is None and panes is None and faces is None:
         return None, "there is nothing in the shadow of anything"
-    return Shadows(tables, maps, panes), ""
+    return Shadows(tables, maps, panes, faces), ""
 
 
 @record

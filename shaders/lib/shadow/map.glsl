@@ -1,5 +1,6 @@
 // Shadows of lights without size, by depth maps seen from them: layout and records in render/shadow/maps.py.
 // PS_SHADOW_MAPS: some light has one. PS_SHADOW_PANES: some light has one of panes, layer behind layer (render/shadow/panes.py).
+// PS_SHADOW_FACES: some light looks at faces (faces.glsl).
 // PS_SHADOW_NESTED: maps of suns may hold finer ones for what is near (render/shadow/nested.py).
 // PS_SHADOW_STRANDS: maps show strands, of which some texels are covered here and there: sub-samples do not tell of each other.
 // PS_FOOTPRINT: the share is a mean over the sub-samples of a group, so that edges within a pixel are as smooth as its
@@ -7,7 +8,7 @@
 // Samplers: ps_shadow_maps (bits of the depths of all views beyond their near planes, which grow with these), ps_map_lights (one
 // row for each light, of this view), ps_shadow_panes and ps_pane_lights (the same of panes, with shares of light).
 
-#if defined(PS_SHADOW_MAPS) || defined(PS_SHADOW_PANES)
+#if defined(PS_SHADOW_MAPS) || defined(PS_SHADOW_PANES) || defined(PS_SHADOW_FACES)
 
 #define PS_MAP_PARALLEL 1.0
 #define PS_MAP_CUBE 3.0

@@ -1,6 +1,6 @@
 // How much of a light's light reaches a point. Reference: scripts/common/shadow_truth.py; layout: render/shadow/packed_tables.py.
 // PS_SHADOWS: some light casts shadows; else nothing here exists. PS_SHADOW_MAPS: some by a depth map (map.glsl);
-// PS_SHADOW_PANES: some by layers of panes (panes.glsl);
+// PS_SHADOW_PANES: some by layers of panes (panes.glsl); PS_SHADOW_FACES: some by faces of these (faces.glsl);
 // PS_SHADOW_TABLES: some by a table, and of these: PS_SHADOW_COLORED: optical depths have three channels.
 // Shadows of wide lights are the mean of PS_SHADOW_TAPS points of the light, of a sequence that goes on from sample to
 // sample of a picture: PS_SHADOW_SAMPLE is the sample's number. PS_SHADOW_ONE_CELL: samples are so many that each looks
@@ -14,6 +14,7 @@
 #include "lib/shadow/map.glsl"
 #include "lib/shadow/soft.glsl"
 #include "lib/shadow/panes.glsl"
+#include "lib/shadow/faces.glsl"
 
 #ifdef PS_SHADOW_TABLES
 
@@ -210,6 +211,9 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal, bool wanted)
 #endif
 #ifdef PS_SHADOW_PANES
   share *= ps_pane_share(light, position, normal, wanted);
+#endif
+#ifdef PS_SHADOW_FACES
+  share *= ps_face_share(light, position, normal, wanted);
 #endif
 #ifdef PS_SHADOW_TABLES
 #ifdef PS_RELIT

@@ -67,7 +67,9 @@ def rms(error: np.ndarray) -> float:
 # The shader and its reference
 
 
-@pytest.mark.parametrize("name", ["sphere", "smoke", "tinted_smoke", "panes", "foliage", "strands", "parallel"])
+@pytest.mark.parametrize(
+    "name", ["sphere", "smoke", "tinted_smoke", "panes", "tinted_panes", "foliage", "strands", "parallel"]
+)
 def test_the_shader_is_the_reference(name):
     """Everything that the pass `light` left, composited in float64; without what is in focus."""
     case = CASES[name]()

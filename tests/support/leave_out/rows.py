@@ -135,6 +135,10 @@ ROWS: dict[str, Row] = {
     "points in an environment picture": Row(lit_cases.environment),
     "pane": Row(pane),
     "panes and a cube": Row(translucent_cases.panes),
+    "coloured panes": Row(
+        lambda: with_scene(translucent_cases.tinted_panes(), lights=translucent_cases.tinted_panes().scene.lights[:1])
+    ),
+    "coloured panes, shadows of a wide light, too": Row(translucent_cases.tinted_panes),
     "smoke": Row(translucent_cases.in_smoke),
     "smoke, transparent film": Row(lambda: with_scene(translucent_cases.in_smoke(), transparent=True)),
     "smoke, interactive": Row(translucent_cases.in_smoke, interactive=True),
@@ -165,6 +169,9 @@ ROWS: dict[str, Row] = {
     ),
     "visibility buffer, panes and a cube": Row(
         lambda: with_settings(translucent_cases.panes(), technique="VISIBILITY")
+    ),
+    "visibility buffer, coloured panes, shadows of a wide light, too": Row(
+        lambda: with_settings(translucent_cases.tinted_panes(), technique="VISIBILITY")
     ),
     "visibility buffer, coloured smoke, shadows": Row(
         lambda: with_settings(translucent_cases.tinted_smoke(), technique="VISIBILITY")

@@ -29,7 +29,7 @@ def optical_sums(cloud: PointCloud, which: slice, radii: np.ndarray) -> np.ndarr
 
     `which`: the n points of the cloud; `radii` (3, n): their half-axes. Media: squared optical mass over volume, mass
     and cross-section of each channel, a weight and the colour times it, and the volume times the emission. Shells:
-    area, optical mass and cross-section.
+    area, and optical mass and cross-section of each channel.
     """
     if cloud.radii is None or (cloud.extinction is None and cloud.opacity is None):
         return np.empty((0, radii.shape[1]))
@@ -113,10 +113,12 @@ def node_optics(cloud: PointCloud, radii: np.ndarray, sums: np.ndarray) -> dict[
     drawn = drawn_radii(cloud, radii)
     area = optical_area(cloud, drawn)
     if cloud.extinction is None:
-        covered = _tiled_fraction(sums[0], radii)
-        depth = _mixed_depth(sums[1] / area, sums[2] / area, covered)
-        named = {"mass": sums[1], "opacity": -np.expm1(-depth), "covered": covered}
-        return {name: array.astype(np.float32) for name, array in named.items()}
+        assert cloud.opacity is not None
+        covered, shape = _tiled_fraction(sums[0], radii), cloud.opacity.shape[1:]
+        mass, section = np.split(sums[1:], 2)
+        opacity = -np.expm1(-_mixed_depth(mass / area, section / area, covered))
+        named = {name: as_columns(rows).reshape(-1, *shape) for name, rows in (("mass", mass), ("opacity", opacity))}
+        return named | {"covered": covered.astype(np.float32)}
     shape = cloud.extinction.shape[1:]
     channels = int(np.prod(shape))
     volume = np.maximum(4 / 3 * np.pi * np.prod(drawn.astype(np.float64), axis=0), 1e-60)
@@ -158,13 +160,14 @@ def _tiled_fraction(area: np.ndarray, radii: np.ndarray) -> np.ndarray:
 
 
 def merged_shells(cloud: PointCloud, sums: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """Corrects the sums of shells that were merged into nodes for their overlap: (3, n) float64.
+    """Corrects the sums of shells that were merged into nodes for their overlap: (1 + 2 C, n) float64.
 
-    `sums` (3, n): area, optical mass and cross-section, added up; `radii` (3, n): the nodes' kernels. The area is at
-    most that of the node, and where shells tile the node, the cross-section at most that of an even layer.
+    `sums` (1 + 2 C, n): area, and optical mass and cross-section of C channels, added up; `radii` (3, n): the nodes'
+    kernels. The area is at most that of the node, and where shells tile the node, cross-sections are at most those of
+    an even layer.
     """
-    area, mass, section = sums
+    area, (mass, section) = sums[0], np.split(sums[1:], 2)
     ellipse = optical_area(cloud, drawn_radii(cloud, radii))
     covered = _tiled_fraction(area, radii)
     whole = ellipse * -np.expm1(-mass / ellipse)
-    return np.stack([np.minimum(area, ellipse), mass, section + covered * np.minimum(whole - section, 0)])
+    return np.concatenate([np.minimum(area, ellipse)[None], mass, section + covered * np.minimum(whole - section, 0)])

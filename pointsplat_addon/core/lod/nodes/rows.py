@@ -18,7 +18,7 @@ from ...splat.ellipsoids import splat_frames, splat_weight
 from .optics import optical_sums
 
 # Attributes of nodes that are weighted means of those of their points
-AVERAGED = ("color", "opacity", "surface", "emission", "shading_normal", "velocity", "extinction", "value")
+AVERAGED = ("color", "opacity", "surface", "emission", "shading_normal", "velocity", "extinction", "shaded", "value")
 
 
 @dataclass

@@ -24,7 +24,7 @@ from ....core.scene.volume import Medium
 from .media import read_medium
 from .nodes.table import tree_reader
 from .nodes.tree import HairConstants, TreeReader, UnsupportedNodeError
-from .surface import SURFACE_NORMAL, ZERO, Surface
+from .surface import SURFACE_NORMAL, WHITE, ZERO, Surface, is_constant
 from .surface_shaders import read_surface
 
 DEFAULT_SURFACE = "default_surface"  # what Cycles calls the surface of faces without a material
@@ -34,6 +34,7 @@ VARYING_DEFAULTS = {  # the table's constant of a channel that varies
     "metallic": (0.0,),
     "alpha": (1.0,),
     "emission": (0.0, 0.0, 0.0),
+    "transmission_color": (1.0, 1.0, 1.0),
 }
 
 
@@ -48,6 +49,7 @@ class MaterialRow:
     name: str
     hash: int
     translucent: bool = False
+    transmission_color: tuple[float, ...] | None = None
     medium: Medium | None = None
     hair: HairConstants | None = None
     warnings: tuple[str, ...] = ()
@@ -57,7 +59,8 @@ class MaterialRow:
         """Content key of all that affects how the material looks."""
         varying = "" if self.graph is None else self.graph.digest
         volume = None if self.medium is None else [np.asarray(v).tolist() for v in vars(self.medium).values()]
-        shown = sorted(self.constants.items()), varying, self.cull, self.translucent, volume, self.hair
+        light = self.translucent, self.transmission_color
+        shown = sorted(self.constants.items()), varying, self.cull, light, volume, self.hair
         text = repr((*shown, self.pass_index, self.name))
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
@@ -77,6 +80,7 @@ def convert_materials(materials: Iterable[bpy.types.Material | None]) -> tuple[M
     }
     converted = MaterialTable(
         **floats,
+        transmission_color=_transmission_colors(rows),
         cull=np.array([row.cull for row in rows]),
         pass_index=np.array([row.pass_index for row in rows], np.int32),
         hash=np.array([row.hash for row in rows], np.uint32),
@@ -97,6 +101,14 @@ def _hair_columns(rows: list[MaterialRow]) -> HairTable | None:
     constants = [row.hair or HairConstants() for row in rows]
     columns = {name: np.array([getattr(h, name) for h in constants], np.float32) for name in vars(HairConstants())}
     return HairTable(used=np.array([row.hair is not None for row in rows]), **columns)
+
+
+def _transmission_colors(rows: list[MaterialRow]) -> np.ndarray | None:
+    """The column of transmission colours; None if all materials pass all channels alike."""
+    varying = any(row.graph is not None and row.graph.transmission_color is not None for row in rows)
+    white = VARYING_DEFAULTS["transmission_color"]
+    colors = np.array([row.transmission_color or white for row in rows], np.float32)
+    return colors if varying or (colors < 1).any() else None
 
 
 def _column_or_none(dtype: type, values: list) -> np.ndarray | None:
@@ -128,7 +140,11 @@ def convert_material(material: bpy.types.Material) -> MaterialRow:
     tree = tree_reader(material.name)
     output = output_node(material)
     surface = _material_surface(material, output, tree)
+    translucent = _is_translucent(surface)
+    if not translucent:
+        surface = replace(surface, transmission_color=WHITE)
     constants, graph = _split_constants(surface, tree)
+    passes = constants.pop("transmission_color")
     return MaterialRow(
         constants=constants,
         graph=graph,
@@ -136,23 +152,24 @@ def convert_material(material: bpy.types.Material) -> MaterialRow:
         pass_index=material.pass_index,
         name=material.name,
         hash=cryptomatte_hash(material.name),
-        translucent=_is_translucent(surface.alpha),
+        translucent=translucent,
+        transmission_color=passes if min(passes) < 1 else None,
         medium=None if output is None else read_medium(tree, output.inputs["Volume"]),
         hair=tree.hair,
         warnings=tuple(tree.warnings),
     )
 
 
-def _is_translucent(alpha: Expression) -> bool:
-    """Whether a surface has to be blended: its alpha is neither 1 nor a mask.
+def _is_translucent(surface: Surface) -> bool:
+    """Whether a surface has to be blended: its alpha is neither 1 nor a mask, or what passes is coloured.
 
     A mask lies between 0 and 1 along its edges alone. It is cut out, which is sharp and fast, and of whose edges pixels
     show the mean; what the material asks of other engines, blended or dithered, changes nothing.
     """
-    value = constant(alpha)
+    value = constant(surface.alpha)
     if value is not None:
         return bool(value[0] < 1 - 1e-6)
-    return not is_mask(alpha)
+    return not is_mask(surface.alpha) or not is_constant(surface.transmission_color, 1)
 
 
 def _node_tree(material: bpy.types.Material) -> bpy.types.ShaderNodeTree | None:

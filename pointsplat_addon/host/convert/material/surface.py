@@ -1,8 +1,8 @@
 """A surface by the expressions of its parameters, and how surfaces mix.
 
-A translucent surface transmits light along a straight line and unchanged in colour: it has one alpha. Glass is thin.
-Its reflection is a mirror whose coverage is Fresnel's reflectance at normal incidence; the mean of its tint is the
-transmittance of the rest, and the colour that the tint has beyond its mean is shown as if it were painted on.
+A translucent surface transmits light along a straight line: (1 - alpha) of it, times the transmission colour. Glass is
+thin. Its reflection is a mirror whose coverage is Fresnel's reflectance at normal incidence; its tint is the
+transmission colour of the rest, or, where it is a grey, an alpha, which costs a third.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ BLACK = input_nodes.Constant((0.0, 0.0, 0.0))
 ZERO, ONE = input_nodes.Constant((0.0,)), input_nodes.Constant((1.0,))
 GLASS_IOR = input_nodes.Constant((1.5,))  # Principled's default index of refraction
 WHITE = input_nodes.Constant((1.0, 1.0, 1.0))
+GRAY = 1e-6  # difference of the channels of what counts as a grey
 SURFACE_NORMAL = input_nodes.Coordinates("normal")
 
 
@@ -34,6 +35,7 @@ class Surface:
     normal: Expression = SURFACE_NORMAL
     ior: Expression = GLASS_IOR
     specular: Expression = ZERO
+    transmission_color: Expression = WHITE
 
 
 def scale_color(color: Expression, factor: Expression) -> Expression:
@@ -58,33 +60,57 @@ def thin_glass(tint: Expression, like: Surface, *, reflects: bool = True) -> Sur
 
     reflects: whether Fresnel reflection is added; it needs a constant IOR.
     """
-    transmitted = color_nodes.Gray(tint, mean=True)
-    absorbed = math_nodes.Math(ONE, transmitted, ZERO, "SUBTRACT")
-    excess = math_nodes.VectorMath(tint, color_nodes.Color(transmitted), BLACK, ZERO, "SUBTRACT")
-    painted = divide_color(math_nodes.VectorMath(excess, BLACK, BLACK, ZERO, "MAXIMUM"), absorbed)
-    paint = replace(like, base_color=painted, metallic=ZERO, emission=BLACK, alpha=absorbed)
+    dark = replace(like, base_color=BLACK, metallic=ZERO, emission=BLACK)
+    if is_gray(tint):
+        transmitted = color_nodes.Gray(tint, mean=True)
+        glass = replace(dark, alpha=math_nodes.Math(ONE, transmitted, ZERO, "SUBTRACT"))
+    else:
+        transmitted = ONE
+        glass = replace(dark, alpha=ZERO, transmission_color=tint)
     index = constant(like.ior)
     if not reflects or index is None:
-        return paint
-    # The painted part has a specular reflection of its own
+        return glass
+    # What absorbs has a specular reflection of its own
     fresnel = input_nodes.Constant((float((index[0] - 1) / (index[0] + 1)) ** 2,))
     mirror = replace(like, base_color=WHITE, metallic=ONE, emission=BLACK)
-    return mix_surfaces(paint, mirror, multiply(fresnel, transmitted))
+    return mix_surfaces(glass, mirror, multiply(fresnel, transmitted))
 
 
 def mix_surfaces(a: Surface, b: Surface, factor: Expression) -> Surface:
     """(1 - factor) a + factor b: opacities mix by the factor, all else by the factor weighted with the opacities."""
     first = math_nodes.Math(ONE, factor, ZERO, "SUBTRACT")
     a_weight, b_weight = multiply(a.alpha, first), multiply(b.alpha, factor)
+    passes = _mixed_transmission(a, b, first, factor)
     if is_constant(b_weight, 0):
-        return replace(a, alpha=a_weight)
+        return replace(a, alpha=a_weight, transmission_color=passes)
     if is_constant(a_weight, 0):
-        return replace(b, alpha=b_weight)
+        return replace(b, alpha=b_weight, transmission_color=passes)
     alpha = math_nodes.Math(a_weight, b_weight, ZERO, "ADD")
     both_opaque = is_constant(a.alpha, 1) and is_constant(b.alpha, 1)
     t = factor if both_opaque else math_nodes.Math(b_weight, alpha, ZERO, "DIVIDE")
     mixed = {f.name: _mix_unless_equal(t, getattr(a, f.name), getattr(b, f.name)) for f in fields(Surface)}
-    return Surface(**{**mixed, "alpha": ONE if both_opaque else alpha})
+    return Surface(**{**mixed, "alpha": ONE if both_opaque else alpha, "transmission_color": passes})
+
+
+def faded(surface: Surface, alpha: Expression) -> Surface:
+    """A surface of which a share `alpha` is there, and the rest is clear."""
+    clear = Surface(alpha=ZERO)
+    passes = _mixed_transmission(clear, surface, math_nodes.Math(ONE, alpha, ZERO, "SUBTRACT"), alpha)
+    return replace(surface, alpha=multiply(alpha, surface.alpha), transmission_color=passes)
+
+
+def _mixed_transmission(a: Surface, b: Surface, first: Expression, second: Expression) -> Expression:
+    """The transmission colour of `first` a + `second` b: that of each counts by how much passes."""
+    if a.transmission_color.digest == b.transmission_color.digest or is_constant(b.alpha, 1) or is_constant(second, 0):
+        return a.transmission_color
+    if is_constant(a.alpha, 1) or is_constant(first, 0):
+        return b.transmission_color
+    of_a, of_b = (
+        multiply(share, math_nodes.Math(ONE, alpha, ZERO, "SUBTRACT"))
+        for share, alpha in ((first, a.alpha), (second, b.alpha))
+    )
+    t = math_nodes.Math(of_b, math_nodes.Math(of_a, of_b, ZERO, "ADD"), ZERO, "DIVIDE")
+    return color_nodes.Mix(t, a.transmission_color, b.transmission_color)
 
 
 def _mix_unless_equal(t: Expression, a: Expression, b: Expression) -> Expression:
@@ -95,6 +121,12 @@ def is_constant(value: Expression, number: float) -> bool:
     """Whether an expression is the same everywhere and all its channels equal `number`."""
     found = constant(value)
     return found is not None and bool(np.all(found == number))
+
+
+def is_gray(color: Expression) -> bool:
+    """Whether a colour is the same everywhere and has equal channels."""
+    found = constant(color)
+    return found is not None and bool(np.ptp(found[:3]) <= GRAY)
 
 
 def only_emits(surface: Surface) -> bool:

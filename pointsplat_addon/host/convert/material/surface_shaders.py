@@ -16,6 +16,7 @@ from .surface import (
     ZERO,
     Surface,
     divide_color,
+    faded,
     is_constant,
     mix_surfaces,
     multiply,
@@ -49,7 +50,7 @@ def _principled(node: NodeReader) -> Surface:
     )
     weight = math_nodes.Clamp(node["Transmission Weight"], ZERO, ONE)
     if is_constant(weight, 0):
-        return replace(solid, alpha=node["Alpha"])
+        return faded(solid, node["Alpha"])
     # The metallic layer lies above the transmissive one, as in OpenPBR and Blender
     weight = multiply(weight, math_nodes.Math(ONE, solid.metallic, ZERO, "SUBTRACT"))
     # Light crosses two faces of a solid, hence the root
@@ -59,7 +60,7 @@ def _principled(node: NodeReader) -> Surface:
     mixed = mix_surfaces(solid, thin_glass(tint, solid), weight)
     # Transmission does not weaken the emission, which the alpha is going to scale
     emission = divide_color(solid.emission, mixed.alpha)
-    return replace(mixed, emission=emission, alpha=multiply(node["Alpha"], mixed.alpha))
+    return faded(replace(mixed, emission=emission), node["Alpha"])
 
 
 def _diffuse(node: NodeReader) -> Surface:

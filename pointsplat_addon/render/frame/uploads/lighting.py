@@ -58,6 +58,7 @@ class LightingUploads:
         self._tables = None if shadows is None else shadows.tables
         self._maps = None if shadows is None else shadows.maps
         self._panes = None if shadows is None else shadows.panes
+        self._faces = None if shadows is None else shadows.faces
         self.on_disk = NOWHERE if plan.presented else store.on_disk
         self.shadow_key = None if shadows is None else shadows.key  # None: nothing casts shadows
         table = material_rows(scene.materials, self._hair_escape())
@@ -83,6 +84,7 @@ class LightingUploads:
         self._table_records: Texture | None = None  # of the lights in this view
         self._map_records: Texture | None = None
         self._pane_records: Texture | None = None
+        self._face_records: Texture | None = None
 
     @property
     def textures(self) -> dict[str, Texture]:
@@ -92,6 +94,7 @@ class LightingUploads:
             shadow_tables=self._shadow_tables, shadow_lights=self._table_records,
             shadow_maps=self._shadow_maps, map_lights=self._map_records,
             shadow_panes=self._shadow_panes, pane_lights=self._pane_records,
+            pane_faces=self._face_records,
         )  # fmt: skip
 
     @property
@@ -152,11 +155,12 @@ class LightingUploads:
         self._table_records = records["shadow_lights"]
         self._map_records = records["map_lights"]
         self._pane_records = records["pane_lights"]
+        self._face_records = records["pane_faces"]
 
     def _records(self, view_from_world: np.ndarray) -> dict[str, Texture | None]:
         """Uploads the records of shadows in the space of a view, (4, 4), until the view is released."""
         tables = None if self._tables is None else self._tables.packed
-        of = {"shadow_lights": tables, "map_lights": self._maps, "pane_lights": self._panes}
+        of = {"shadow_lights": tables, "map_lights": self._maps, "pane_lights": self._panes, "pane_faces": self._faces}
         upload = self._scope.view_texture
         return {name: None if one is None else upload(one.records(view_from_world)) for name, one in of.items()}
 

@@ -10,7 +10,7 @@ from ...device.protocol import Device, Texture
 from ...passes.shadow.keep_depths import keep_depths
 from ...passes.shadow.panes import PaneBuffer, PaneLayers
 from ...passes.uniforms import view_of
-from ...shadow.panes import PaneMaps
+from ...shadow.panes import PaneMaps, pane_shares
 from ..visibility.polygon_draws import polygon_draws
 from .shadow_maps import ONE_EACH, CasterUploads
 
@@ -20,9 +20,9 @@ def draw_panes(device: Device, panes: PaneMaps, casters: CasterUploads) -> Textu
     shares of light (float32) that the panes up to there let through; see PaneMaps.size."""
     views, height = panes.maps.views, panes.maps.size[1]
     width, rows = np.max([view.size for view in views], axis=0).tolist()
-    through = 1 - casters.scene.materials.alpha
+    through = pane_shares(casters.scene.materials)
     with ExitStack() as unfinished, ExitStack() as temporary:  # what is released if it fails, and in any case
-        buffer = PaneBuffer(device, ONE_EACH, (width, rows))
+        buffer = PaneBuffer(device, ONE_EACH, (width, rows), panes.channels)
         temporary.callback(buffer.release)
         texture = device.texture(panes.size, "R32UI")
         unfinished.callback(texture.release)
@@ -37,8 +37,8 @@ def draw_panes(device: Device, panes: PaneMaps, casters: CasterUploads) -> Textu
             before = None
             for layer in range(panes.layers):
                 drawn.draw_layer(seen, casters.points.instances, texture, before, height)
-                before = x, y + 2 * layer * height
-                keep_depths(device, buffer.depths, before, view.size, target)
-                keep_depths(device, buffer.shares, (x, before[1] + height), view.size, target)
+                before = x, y + layer * panes.layer_height
+                for k, texture_of_layer in enumerate((buffer.depths, *buffer.shares)):
+                    keep_depths(device, texture_of_layer, (x, before[1] + k * height), view.size, target)
         unfinished.pop_all()
     return texture

@@ -16,12 +16,18 @@ SAMPLE_FIELDS: Fields = (("int", "sample_index"),)
 
 def lighting_defines(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
     """Returns the defines of shaders that light. Shadows of wide lights differ from sample to sample: PS_SHADOW_SAMPLE
-    is where the shader finds the sample's number. PS_SHADOW_STRANDS matters where groups of sub-samples are shaded."""
+    is where the shader finds the sample's number. PS_SHADOW_STRANDS matters where groups of sub-samples are shaded,
+    PS_FACES_COLORED to what keeps shares of light."""
     return tuple(
         (name, "u.sample_index" if name == "PS_SHADOW_SAMPLE" else "1")
         for name in lighting
-        if name != "PS_SHADOW_STRANDS"
+        if name not in ("PS_SHADOW_STRANDS", "PS_FACES_COLORED")
     )
+
+
+def is_colored(lighting: tuple[str, ...]) -> bool:
+    """Tells whether shadows may differ between the channels."""
+    return any(f"PS_{name}_COLORED" in lighting for name in ("SHADOW", "PANES", "FACES"))
 
 
 def looks_at_points(lighting: tuple[str, ...]) -> bool:
@@ -49,6 +55,7 @@ def lighting_samplers(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
         ("ps_shadow_lights", "PS_SHADOW_TABLES" in lighting),
         ("ps_map_lights", "PS_SHADOW_MAPS" in lighting),
         ("ps_pane_lights", "PS_SHADOW_PANES" in lighting),
+        ("ps_pane_faces", "PS_SHADOW_FACES" in lighting),
     )
     maps = (("ps_shadow_maps", "PS_SHADOW_MAPS" in lighting), ("ps_shadow_panes", "PS_SHADOW_PANES" in lighting))
     return tuple(

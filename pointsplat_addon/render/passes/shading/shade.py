@@ -83,7 +83,8 @@ def shade_program(
     stand for. `lattice`: surfels are groups of sub-samples of this one. `indirect`: textures tell what they
     receive from the world and from each other. `mattes`: some groups are, which `matte_program` shades."""
     grouped = lattice is not None
-    footprint = lattice if combined and {"PS_SHADOW_MAPS", "PS_SHADOW_PANES"} & set(lighting) else None
+    by_members = {"PS_SHADOW_MAPS", "PS_SHADOW_PANES", "PS_SHADOW_FACES"}
+    footprint = lattice if combined and by_members & set(lighting) else None
     read = variant.samplers(only=("centre", "shape", "normal", "color", "emission"))
     read += (("FLOAT_2D", "ps_list"),) if grouped else ()
     read += FOOTPRINT_SAMPLERS if footprint else ()

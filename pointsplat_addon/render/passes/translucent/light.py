@@ -23,6 +23,7 @@ from ..shading.lighting import (
     MOST_LIGHT_POINTS,
     POINTS_OF_MEDIUM,
     SAMPLE_FIELDS,
+    is_colored,
     lighting_defines,
     lighting_samplers,
     looks_at_points,
@@ -65,10 +66,10 @@ def light_program(
 ) -> Interface:
     """Returns the program that lights every splat of the draw list. `reached`: of so many lights the share that reaches
     each splat is known."""
-    colored = "PS_SHADOW_COLORED" in lighting
+    colored = is_colored(lighting)
     known: tuple[tuple[str, str], ...] = ()
     if reached:
-        lighting = tuple(name for name in lighting if not name.startswith("PS_SHADOW"))
+        lighting = tuple(name for name in lighting if not name.startswith(("PS_SHADOW", "PS_PANES", "PS_FACES")))
         known = ("PS_REACHED", str(reached)), *((("PS_REACHED_COLORED", "1"),) if colored else ())
     read = ("order", "instances", "position", "extent", "optics", "materials")
     read += tuple(name for name, on in options.attributes if on)
@@ -97,7 +98,7 @@ def light_shares_program(options: TranslucentOptions, lighting: tuple[str, ...],
     all splats in their own order."""
     # All cameras share what arrives, and nested maps are for one.
     lighting = tuple(name for name in lighting if name != "PS_SHADOW_NESTED")
-    colored = "PS_SHADOW_COLORED" in lighting
+    colored = is_colored(lighting)
     read = ("order", "instances", "position", "extent", "optics", "materials")
     read += ("shading_normal",) if options.shading_normal else ()
     defines = (*_fuzzy_defines(options, lighting), *((("PS_SHADING_NORMAL", "1"),) if options.shading_normal else ()))
@@ -105,7 +106,8 @@ def light_shares_program(options: TranslucentOptions, lighting: tuple[str, ...],
         "reach", fragment="translucent/light.frag", block=_reach_block(lighting),
         samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
         outputs=tuple(("vec4", f"out_reach_{i}") for i in range(_reach_textures(lights, colored))),
-        defines=(*lighting_defines(lighting), ("PS_REACH", str(lights)), *defines),
+        defines=(*lighting_defines(lighting), ("PS_REACH", str(lights)),
+                 *((("PS_REACH_COLORED", "1"),) if colored else ()), *defines),
     )  # fmt: skip
 
 

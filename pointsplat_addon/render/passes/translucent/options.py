@@ -15,7 +15,8 @@ class TranslucentOptions:
     color: bool = False
     surface: bool = False
     emission: bool = False
-    tint: bool = False  # some extinction differs between the channels
+    tint: bool = False  # some extinction or opacity differs between the channels
+    shaded: bool = False  # and some of it absorbs
     shading_normal: bool = False
     kernels: bool = False  # some have another kernel than the default
     holdout: bool = False  # some cut holes
@@ -56,7 +57,7 @@ class TranslucentOptions:
 
     @property
     def attributes(self) -> tuple[tuple[str, bool], ...]:
-        names = ("color", "surface", "emission", "tint", "shading_normal")
+        names = ("color", "surface", "emission", "tint", "shaded", "shading_normal")
         return tuple((name, getattr(self, name)) for name in names)
 
 
@@ -80,7 +81,8 @@ def options(
         surface=any(c.surface is not None for c in clouds),
         emission=any(c.emission is not None for c in clouds)
         or (any(c.extinction is None for c in clouds) and bool((table.emission > 0).any())),
-        tint=any(c.extinction is not None and c.extinction.ndim == 2 for c in clouds),
+        tint=any(_is_colored(c) for c in clouds),
+        shaded=any(c.shaded is not None for c in clouds),
         shading_normal=any(c.shading_normal is not None for c in clouds),
         kernels=not defocus and any(c.kernel is not None for c in clouds),
         holdout=holdout,
@@ -101,6 +103,11 @@ def lit_outputs(options: TranslucentOptions) -> tuple[str, ...]:
     """Returns what is written of each splat before it is blended: see light.py."""
     front = ("front",) if options.fronts else ()
     return ("centre", "shape", "source", *front, *(("tint",) if options.tint else ()))
+
+
+def _is_colored(cloud: PointCloud) -> bool:
+    """Returns whether what the splats of a cloud hide may differ between the channels."""
+    return any(matter is not None and matter.ndim == 2 for matter in (cloud.opacity, cloud.extinction))
 
 
 def is_fuzzy(cloud: PointCloud) -> bool:

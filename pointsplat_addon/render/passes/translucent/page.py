@@ -3,13 +3,14 @@
 A page holds the splats of all translucent point sets, one texel a splat:
   position        xyz relative to the set's origin; packed normal (-1: a ball)
   extent          half-axes (major, minor), packed major axis, material row
-  optics          media: extinction per object unit, half-axis along the normal, 1 (voxels: 2); shells: optical depth of
-                  the splat's own area, half-axis along the normal, 0; opaque splats: the same, -1; row of
-                  core.splat.kernel.PROFILES
+  optics          of the strongest channel; media: extinction per object unit, half-axis along the normal, 1 (voxels:
+                  2); shells: optical depth of the splat's own area, half-axis along the normal, 0; opaque splats: the
+                  same, -1; row of core.splat.kernel.PROFILES
   color           base colour of shells, albedo of media          \\
   surface         roughness, metallic                              |
   emission        shells: radiance; media: radiance per unit       | where any set has them
-  tint            extinction by channel over `optics`' first       |
+  tint            optical depth by channel over the strongest's    |
+  shaded          what of that each channel's light is of          |
   shading_normal  packed normal, -1: none                         /
 """
 
@@ -72,6 +73,9 @@ class TranslucentPage(SplatPage):
             ])  # fmt: skip
         if options.tint:
             self.upload("tint", "RGBA16F", [_tint(c) for c in clouds])
+        if options.shaded:
+            whole = np.ones((len(table), 3), np.float32)
+            self.upload("shaded", "RGBA16F", [filled(c, "shaded", whole) for c in clouds])
         if options.shading_normal:
             self.upload("shading_normal", "R32F", [shading_normal(c) for c in clouds])
         self.clouds = []
@@ -91,7 +95,7 @@ def _reaching(cloud: PointCloud, points: int) -> PointCloud:
 def _optics(cloud: PointCloud, lattice: bool) -> np.ndarray:
     rows = np.zeros((len(cloud), 4), np.float32)
     if cloud.extinction is not None:
-        rows[:, 0] = _strength(cloud.extinction)
+        rows[:, 0] = _strongest(cloud.extinction)
         rows[:, 2] = 2.0 if lattice else 1.0
         if cloud.radii is not None:
             thick = cloud.normal is not None and cloud.radii.shape[1] == 3
@@ -101,7 +105,7 @@ def _optics(cloud: PointCloud, lattice: bool) -> np.ndarray:
             )
     elif cloud.opacity is not None:
         with np.errstate(divide="ignore", invalid="ignore"):
-            depth = -np.log1p(-np.clip(cloud.opacity.astype(np.float64), 0, 1))
+            depth = -np.log1p(-np.clip(_strongest(cloud.opacity).astype(np.float64), 0, 1))
         rows[:, 0] = np.minimum(depth, OPAQUE)
     else:
         # The peak of a kernel is twice what its splat has over its own area.
@@ -114,13 +118,17 @@ def _optics(cloud: PointCloud, lattice: bool) -> np.ndarray:
     return rows
 
 
-def _strength(extinction: np.ndarray) -> np.ndarray:
-    """Returns the extinction (N,) that the channels are relative to."""
-    return extinction if extinction.ndim == 1 else extinction.max(axis=1)
+def _strongest(channels: np.ndarray) -> np.ndarray:
+    """Returns the largest of the channels (N, 3) of each splat; what has none, (N,), itself."""
+    return channels if channels.ndim == 1 else channels.max(axis=1)
 
 
 def _tint(cloud: PointCloud) -> np.ndarray:
-    if cloud.extinction is None or cloud.extinction.ndim == 1:
+    matter = cloud.opacity if cloud.extinction is None else cloud.extinction
+    if matter is None or matter.ndim == 1:
         return np.ones((len(cloud), 3), np.float32)
-    positive = np.maximum(cloud.extinction, 0)
-    return positive / np.maximum(_strength(positive), np.finfo(np.float32).tiny)[:, None]
+    depth = np.maximum(matter, 0)
+    if cloud.extinction is None:
+        with np.errstate(divide="ignore"):
+            depth = np.minimum(-np.log1p(-np.minimum(depth, 1).astype(np.float64)), OPAQUE)
+    return depth / np.maximum(_strongest(depth), np.finfo(np.float32).tiny)[:, None]
