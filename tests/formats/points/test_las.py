@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import struct
-import threading
 
 import numpy as np
 import pytest
@@ -187,6 +186,18 @@ def test_truncated_laz_is_told(tmp_path):
         list(reader.chunks())
 
 
+def test_batches_hold_each_chunk_once_and_no_more_than_they_may(monkeypatch):
+    monkeypatch.setattr(laz_chunks.os, "cpu_count", lambda: 2)
+    chunks = [(100, 1), (100, 2), (300, 3), (100, 4), (100, 5), (100, 6)]
+    assert list(laz_chunks.batches(chunks, 750, 10, 2000)) == [
+        [(100, 1), (100, 2)],
+        [(300, 3)],
+        [(100, 4), (100, 5)],
+        [(50, 6)],
+    ]
+    assert [len(batch) for batch in laz_chunks.batches([(1, 1)] * 20, 20, 10, 2000)] == [8, 8, 4]
+
+
 def test_chunks_of_laz_that_promise_gigabytes_are_decoded_one_by_one(tmp_path):
     """Side by side, lazrs would allocate 2^30 points, and abort the process where there is no room for them."""
     las, position = scan(6)
@@ -208,8 +219,8 @@ def test_chunks_side_by_side_are_those_of_laspy(tmp_path, monkeypatch, point_for
             las[name] = random.integers(0, 2, len(position))
     las.write(str(tmp_path / "a.laz"))
     with open_points(tmp_path / "a.laz") as reader:
-        assert [len(chunk["position"]) for chunk in reader.chunks((), 1 << 20)] == [50_000, 50_000, 20_000]
-        assert max(len(chunk["position"]) for chunk in reader.chunks((), 30_000)) == 30_000
+        assert [len(chunk["position"]) for chunk in reader.chunks((), 1 << 20)] == [120_000]
+        assert [len(chunk["position"]) for chunk in reader.chunks((), 70_000)] == [70_000, 50_000]
         attributes = reader.header.attributes
     found = whole(tmp_path / "a.laz")
     np.testing.assert_allclose(found["position"], position, rtol=0, atol=1e-9)
@@ -234,18 +245,6 @@ def test_a_damaged_chunk_is_told_after_those_before_it(tmp_path, monkeypatch):
         with pytest.raises(PointFileError, match=r"a\.laz: cannot be read from point 100,000 on: "):
             next(chunks)
     np.testing.assert_allclose(np.concatenate(found), position[:100_000], rtol=0, atol=1e-9)
-
-
-def test_a_reader_that_is_given_up_leaves_no_thread(tmp_path, monkeypatch):
-    monkeypatch.setattr(laz_chunks.os, "cpu_count", lambda: 4)
-    las, _ = scan(6, 220_000)
-    las.write(str(tmp_path / "a.laz"))
-    with open_points(tmp_path / "a.laz") as reader:
-        chunks = reader.chunks()
-        next(chunks)
-        assert any(thread.name.startswith("PointSplat LAZ") for thread in threading.enumerate())
-        chunks.close()
-    assert not any(thread.name.startswith("PointSplat LAZ") for thread in threading.enumerate())
 
 
 def test_an_entwine_folder_is_read_level_by_level(tmp_path):

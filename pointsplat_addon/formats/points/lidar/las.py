@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
+from ....core.numeric.vectors import each_block
 from ..columns import STANDARD, normalised
 from ..reader import CHUNK, Attribute, Columns, FileReader, Header, PointFileError, origin_of
 from .laz_check import check_chunks
-from .laz_chunks import decoded_in_order, threads_for
+from .laz_chunks import Chunk, batches, side_by_side
 
 if TYPE_CHECKING:
     from laspy import LasReader as LaspyReader
@@ -48,7 +49,10 @@ class LasReader(FileReader):
     def __init__(self, path: Path, threads: bool = True) -> None:
         """`threads`: chunks of LAZ are decoded side by side."""
         self._path, self.warnings = path, []
-        self._packed, self._threads = [], 0  # chunks of LAZ (points, bytes), and how many threads decode them
+        self._packed, self._batches = (
+            [],
+            False,
+        )  # chunks of LAZ (points, bytes), and whether batches of them are decoded
         records = _check_header(path)
         self._file = path.open("rb")
         try:
@@ -107,8 +111,8 @@ class LasReader(FileReader):
             record = self._guarded(records[0].record_data_bytes)
             self._packed = check_chunks(self._path, self._file, start, length, record)
             self._file.seek(start)
-            self._threads = threads_for(self._packed, length, MOST_BYTES) if threads else 0
-            if self._threads:
+            self._batches = threads and side_by_side(self._packed, length, MOST_BYTES)
+            if self._batches:
                 found.laz_backend = laspy.LazBackend.LazrsParallel  # the decoder is made when it is first asked
         return found
 
@@ -141,7 +145,7 @@ class LasReader(FileReader):
         length = self._las.header.point_format.size
         size = max(1, min(size, MOST_BYTES // length))
         found = 0
-        for points in self._side_by_side(wanted) if self._threads else self._one_by_one(wanted, size):
+        for points in self._side_by_side(wanted) if self._batches else self._one_by_one(wanted, size):
             count = len(points["position"])
             found += count
             for first in range(0, count, size):
@@ -163,33 +167,52 @@ class LasReader(FileReader):
             yield {attribute.name: self._column(points, attribute) for attribute in wanted}
 
     def _side_by_side(self, wanted: list[Attribute]) -> Iterator[Columns]:
-        """Columns of each chunk of LAZ in order."""
-        start, selection = self._las.header.offset_to_point_data + PLACE, self._selection(wanted)
-
-        def decode(packed: bytes, count: int, before: int) -> Columns:
-            return self._unpacked(packed, count, wanted, selection, f" from point {before:,} on")
-
-        yield from decoded_in_order(self._file, start, self._packed, self.header.count, self._threads, decode)
+        """Columns of batches of chunks of LAZ in order."""
+        header, selection, before = self._las.header, self._selection(wanted), 0
+        self._file.seek(header.offset_to_point_data + PLACE)
+        for table in batches(self._packed, self.header.count, header.point_format.size, MOST_BYTES):
+            packed = self._file.read(sum(size for _, size in table))
+            try:
+                found = self._unpacked(packed, table, wanted, selection, f" from point {before:,} on")
+            except PointFileError:
+                # Once more, one by one: those before the one that cannot be read, and then where it is.
+                for count, size in table:
+                    part, packed = packed[:size], packed[size:]
+                    yield self._unpacked(part, [(count, size)], wanted, selection, f" from point {before:,} on")
+                    before += count
+            else:
+                yield found
+                before += sum(count for count, _ in table)
 
     def chunk(self, packed: bytes, count: int, columns: Collection[str] | None = None) -> Columns:
-        """Returns the `count` points of one chunk of a LAZ file, from its bytes, as `chunks` does. Threads may call it
-        side by side. Raises PointFileError."""
-        return self._unpacked(packed, count, self.wanted(columns), None, "")
+        """Returns the `count` points of one chunk of a LAZ file, from its bytes, as `chunks` does. Raises
+        PointFileError."""
+        return self._unpacked(packed, [(count, len(packed))], self.wanted(columns), None, "")
 
-    def _unpacked(self, packed: bytes, count: int, wanted: list[Attribute], selection: Any, place: str) -> Columns:
-        """The columns of a chunk of `count` points; `selection`: what lazrs is to decode, None: all; `place`: of the
-        chunk, for messages."""
+    def _unpacked(
+        self, packed: bytes, table: list[Chunk], wanted: list[Attribute], selection: Any, place: str
+    ) -> Columns:
+        """The columns of the chunks of a table; `selection`: what lazrs is to decode, None: all; `place`: of the
+        chunks, for messages."""
         import laspy
         import lazrs
 
-        header = self._las.header
+        header, count = self._las.header, sum(count for count, _ in table)
         out = bytearray(count * header.point_format.size)
         [record] = [r for r in header.vlrs if r.user_id == "laszip encoded" and r.record_id == LASZIP]
-        vlr, table = record.record_data_bytes(), [(count, len(packed))]
+        vlr = record.record_data_bytes()
         self._guarded(lambda: lazrs.decompress_points_with_chunk_table(packed, vlr, out, table, selection), place)
         raw = np.frombuffer(out, header.point_format.dtype(), count)
         points = laspy.ScaleAwarePointRecord(raw, header.point_format, header.scales, header.offsets)
-        return {attribute.name: self._column(points, attribute) for attribute in wanted}
+        found = {one.name: np.empty((count, *_shape(one)), one.dtype) for one in wanted}
+
+        def fill(block: slice) -> None:
+            part = points[block]
+            for attribute in wanted:
+                found[attribute.name][block] = self._column(part, attribute)
+
+        each_block(count, fill)
+        return found
 
     def _selection(self, wanted: list[Attribute]) -> Any:
         """What lazrs is to decode of layered points: what is wanted. Of others it decodes all."""
@@ -227,6 +250,11 @@ class LasReader(FileReader):
 
     def close(self) -> None:
         self._file.close()
+
+
+def _shape(attribute: Attribute) -> tuple[int, ...]:
+    """Of one point's value of a column."""
+    return (attribute.components,) if attribute.components > 1 else ()
 
 
 def _check_header(path: Path) -> int | None:
