@@ -1,6 +1,6 @@
 // Attributes of the triangle that stands for a group of sub-samples, where its sub-sample meets it: one texel of the
 // G-buffer. PS_AVERAGE: what pictures show is the mean over the group's sub-samples. PS_LEVELS: and over the footprints of
-// these, where one spans more than a texel.
+// these, where one spans more than a texel. PS_PLACED_...: graphs were evaluated at the point, over its footprint.
 
 #include "lib/geometry/surfel.glsl"
 #include "lib/data/store.glsl"
@@ -267,16 +267,22 @@ void main()
 #ifdef PS_CORNER_COLOR
   v_color = weights.x * texelFetch(ps_corner_color, texels[0], 0) + weights.y * texelFetch(ps_corner_color, texels[1], 0) +
             weights.z * texelFetch(ps_corner_color, texels[2], 0);
+#elif defined(PS_PLACED_COLOR)
+  v_color = texelFetch(ps_placed_color, leader.texel, 0);
 #endif
 #ifdef PS_CORNER_SURFACE
   v_surface = weights.x * texelFetch(ps_corner_surface, texels[0], 0).xy +
               weights.y * texelFetch(ps_corner_surface, texels[1], 0).xy +
               weights.z * texelFetch(ps_corner_surface, texels[2], 0).xy;
+#elif defined(PS_PLACED_SURFACE)
+  v_surface = texelFetch(ps_placed_surface, leader.texel, 0).xy;
 #endif
 #ifdef PS_CORNER_EMISSION
   v_emission = weights.x * texelFetch(ps_corner_emission, texels[0], 0).rgb +
                weights.y * texelFetch(ps_corner_emission, texels[1], 0).rgb +
                weights.z * texelFetch(ps_corner_emission, texels[2], 0).rgb;
+#elif defined(PS_PLACED_EMISSION)
+  v_emission = texelFetch(ps_placed_emission, leader.texel, 0).rgb;
 #endif
   float material = float(PS_MATERIAL);
   PsSurfel s = ps_empty();
@@ -293,6 +299,9 @@ void main()
   PsShown shown = ps_shown(slot, own, uv, weights, v_uv, leader.position);
 #else
   PsShown shown = ps_shown(slot, own, weights, leader.position);
+#endif
+#ifdef PS_PLACED_NORMAL
+  shown.normal = ps_view_normal(ps_linear(slot), texelFetch(ps_placed_normal, leader.texel, 0).xyz);
 #endif
   s.normal.xyz = shown.normal;
   ps_seen_from(s, shown.plane, shown.turned);

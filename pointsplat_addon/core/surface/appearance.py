@@ -8,8 +8,11 @@ import numpy as np
 
 from ..material.baking import bake, bakeable, stored, suggested_resolution
 from ..material.evaluation import Appearance, evaluate_materials, triangle_tangents
-from ..material.expression import Part, SampleInputs
+from ..material.expression import Part, SampleInputs, walk
 from ..material.graph import MaterialGraph, needs
+from ..material.nodes.color_nodes import Color, Component
+from ..material.nodes.input_nodes import UV, Attribute, ColorAttribute, Constant, Coordinates
+from ..material.nodes.math_functions import normalize_rows
 from ..scene.cloud import PointCloud
 from ..scene.materials import MaterialTable
 from ..scene.mesh import Mesh
@@ -216,6 +219,25 @@ def at_corners(mesh: Mesh, table: MaterialTable, graphs: dict[int, MaterialGraph
     samples = Samples("VERTICES", np.repeat(np.arange(triangles, dtype=np.int32), 3), weights)
     position = mesh.position[mesh.triangles.reshape(-1)]
     return _evaluate(mesh, samples, np.repeat(rows, 3), position, corner_normals(mesh), graphs, table)
+
+
+def interpolates(graph: MaterialGraph) -> bool:
+    """Whether what a graph varies is, within a triangle, what its values at the corners interpolate to; alpha apart."""
+    linear = UV, Attribute, ColorAttribute, Constant, Coordinates, Color, Component
+    channels = {name: output for name, output in graph.channels.items() if name != "alpha"}
+    return graph.normal is None and all(
+        isinstance(node, linear) and not (isinstance(node, Coordinates) and node.kind == "normal")
+        for node in walk(*channels.values())
+    )
+
+
+def at_places(mesh: Mesh, samples: Samples, graphs: dict[int, MaterialGraph], table: MaterialTable) -> Appearance:
+    """The appearance of a mesh at places in its triangles, with normals that are interpolated between the corners'.
+    Images are filtered over the samples' ellipses."""
+    triangles = mesh.position[mesh.triangles]
+    position = interpolate(mesh, samples, triangles)
+    normal = normalize_rows(interpolate(mesh, samples, corner_normals(mesh).reshape(-1, 3, 3)))
+    return _evaluate(mesh, samples, material_ids(mesh, samples), position, normal, graphs, table, wide=True)
 
 
 def corner_normals(mesh: Mesh) -> np.ndarray:

@@ -114,7 +114,7 @@ void ps_polygon_attributes(inout PsSurfel s)
 #ifdef PS_COLOR
 #if defined(PS_BAKED_COLOR)
   s.color.rgb = ps_picture_color(ps_picture(ps_baked_color, v_uv), PS_COLOR_IS_ENCODED, PS_COLOR_IS_ASSOCIATED);
-#elif defined(PS_CORNER_COLOR)
+#elif defined(PS_CORNER_COLOR) || defined(PS_PLACED_COLOR)
   s.color.rgb = v_color.rgb;
 #else
   s.color.rgb = texelFetch(ps_materials, ivec2(0, PS_MATERIAL), 0).rgb;
@@ -123,7 +123,7 @@ void ps_polygon_attributes(inout PsSurfel s)
 #ifdef PS_SURFACE
 #if defined(PS_BAKED_SURFACE)
   vec2 surface = ps_picture(ps_baked_surface, v_uv).xy;
-#elif defined(PS_CORNER_SURFACE)
+#elif defined(PS_CORNER_SURFACE) || defined(PS_PLACED_SURFACE)
   vec2 surface = v_surface;
 #else
   vec2 surface = texelFetch(ps_materials, ivec2(2, PS_MATERIAL), 0).yz;
@@ -135,7 +135,7 @@ void ps_polygon_attributes(inout PsSurfel s)
 #if defined(PS_BAKED_EMISSION)
   vec4 emission = ps_picture(ps_baked_emission, v_uv);
   s.emission = vec4(ps_picture_color(emission, PS_EMISSION_IS_ENCODED, PS_EMISSION_IS_ASSOCIATED), 0.0);
-#elif defined(PS_CORNER_EMISSION)
+#elif defined(PS_CORNER_EMISSION) || defined(PS_PLACED_EMISSION)
   s.emission = vec4(v_emission, 0.0);
 #else
   s.emission = vec4(texelFetch(ps_materials, ivec2(1, PS_MATERIAL), 0).rgb, 0.0);

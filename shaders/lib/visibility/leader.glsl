@@ -6,6 +6,7 @@
 struct PsLeader {
   bool rasterised;  // by the hardware; else by a compute shader
   int index;  // of the primitive among all that are drawn in that way; -1: there is no group
+  ivec2 texel;  // of textures of all leaders
   ivec2 pixel;
   int layer;  // of the group among those of the pixel
   vec2 offset;  // pixels from the pixel's centre
@@ -23,6 +24,7 @@ PsLeader ps_leader(ivec2 texel)
   PsLeader found;
   found.rasterised = (id & 0x80000000u) != 0u;
   found.index = id == 0xFFFFFFFFu ? -1 : int(id & 0x7FFFFFFFu);
+  found.texel = texel;
   found.pixel = listed.pixel;
   found.layer = listed.layer;
   found.offset = offsets[int(texelFetch(ps_members, texel, 0).x)];

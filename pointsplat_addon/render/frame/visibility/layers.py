@@ -27,6 +27,7 @@ from ..shading import Shading
 from ..uploads.uploads import Uploads
 from .identities import identities
 from .occluders import Occluders
+from .placed import placed_textures
 from .polygon_draws import draws_of, polygons_in_view
 from .strand_draws import strand_draws
 from .targets import VisibilityTargets
@@ -211,7 +212,11 @@ class Visibility:
     def _write_attributes(self, view: SampleView, leaders: Leaders, out: GBuffer, variant: Variant) -> None:
         shared, groups = self._uploads.shared, self._targets.groups
         if self._polygons is not None:
-            self._polygons.write_attributes(variant, view, shared, groups, leaders, out)
+            lattice, draws, scene = self._targets.buffer.lattice, self._polygons.draws, self._uploads.scene
+            placed = placed_textures(self._device, scene, draws, variant, view, lattice, groups, leaders)
+            self._polygons.write_attributes(variant, view, shared, groups, leaders, out, placed)
+            for texture in placed.values():
+                texture.release()
         if self._strands is not None:
             held = {**shared, **self._uploads.strands.instances}
             self._strands.write_attributes(variant, view, held, groups, leaders, out)

@@ -52,6 +52,7 @@ class PolygonDraw:
         """
         self.mesh, self.groups, self.first_id, self.small = mesh, mesh.groups, first_id, small
         self.instance, self.repeats, self.of_slot = instance, len(instance), mesh.triangles
+        self._view_from_object = view_from_object
         self.one = self.repeats == 1
         self._chunks = chunks
         self.textures: dict[str, Texture] = {}
@@ -77,6 +78,15 @@ class PolygonDraw:
         """Returns the ranges of a group's triangles that are drawn."""
         return [group] if self._chunks is None else chunk_runs(self.groups, group, self._chunks)
 
+    def object_from_view(self, slot: np.ndarray) -> np.ndarray:
+        """Returns the transforms of slots (N,) to their object's space, (N, 4, 4) float64."""
+        return _to_objects(self._view_from_object, self.mesh.origin, slot)
+
+    def locate(self, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Returns the slots (N,) and the triangles of their meshes (N,), by numbers (N,) in this draw."""
+        slot, triangle = np.divmod(number, self.of_slot)
+        return slot, triangle if self.mesh.order is None else self.mesh.order[triangle]
+
     def identify(self, number: np.ndarray) -> np.ndarray:
         """Returns the instance and the material, (N, 2), of triangles by their numbers (N,) in this draw."""
         slot, triangle = np.divmod(number, self.of_slot)
@@ -88,6 +98,16 @@ class PolygonDraw:
     def release(self) -> None:
         for texture in self.textures.values():
             texture.release()
+
+
+def _to_objects(view_from_object: np.ndarray, origin: np.ndarray, slot: np.ndarray) -> np.ndarray:
+    """Returns the inverses of those transforms from positions relative to origins (3,) or (I, 3) that slots (N,) have;
+    zeros of those that have none."""
+    regular = np.abs(np.linalg.det(view_from_object[:, :3, :3])) > 0
+    found = np.zeros_like(view_from_object)
+    found[regular] = np.linalg.inv(view_from_object[regular])
+    found[:, :3, 3] += origin
+    return found[slot]
 
 
 def chunk_runs(groups: list[Group], group: Group, chunks: np.ndarray) -> list[Group]:
@@ -127,12 +147,15 @@ class BlockDraw:
         blocks: np.ndarray,
         first: int,
         instance: np.ndarray,
+        member: np.ndarray,
+        view_from_object: np.ndarray,
         first_id: int,
         small: bool,
     ) -> None:
         """blocks: (B, 4), first triangle on the page, number of triangles, slot and material; `first`: the first of
-        them among those of all kinds. instance: (I,) int, of each slot. `small`: most triangles cover few cells."""
-        self.small = small
+        them among those of all kinds. instance: (I,) int, of each slot, and which mesh of the page it is, member (I,).
+        `small`: most triangles cover few cells."""
+        self.small, self._view_from_object, self._member = small, view_from_object, member
         self.mesh, self.instance, self.first_id, self.repeats, self._blocks = page, instance, first_id, 1, blocks
         self.groups = [replace(kind.group, first=first, count=3 * BLOCK * len(blocks))]
         self.triangles = self.of_slot = BLOCK * len(blocks)  # numbers of triangles, of which some have none
@@ -142,6 +165,22 @@ class BlockDraw:
     def runs(self, group: Group) -> list[Group]:
         """Returns the ranges of a group's triangles that are drawn."""
         return [group]
+
+    def object_from_view(self, slot: np.ndarray) -> np.ndarray:
+        """Returns the transforms of slots (N,) to their object's space, (N, 4, 4) float64."""
+        return _to_objects(self._view_from_object, self.mesh.origin[self._member], slot)
+
+    def locate(self, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Returns the slots (N,) and the triangles of their meshes (N,), by numbers (N,) in this draw."""
+        block = self._blocks[number >> BLOCK_SHIFT]
+        slot = block[:, 2]
+        triangle = block[:, 0] + (number & (BLOCK - 1)) - self.mesh.first[self._member[slot]]
+        for member in np.unique(self._member[slot]).tolist():
+            order = self.mesh.orders[member]
+            if order is not None:
+                mine = self._member[slot] == member
+                triangle[mine] = order[triangle[mine]]
+        return slot, triangle
 
     def identify(self, number: np.ndarray) -> np.ndarray:
         """Returns the instance and the material, (N, 2), of triangles by their numbers (N,) in this draw."""
@@ -178,7 +217,7 @@ def block_draws(
         blocks = kind.blocks[ranges(kind.start[member], count)]
         if len(blocks):
             rows = np.column_stack([blocks[:, :2], owners(count), blocks[:, 2]])
-            found.append(BlockDraw(page, kind, rows, first, instance, first_id, small))
+            found.append(BlockDraw(page, kind, rows, first, instance, member, view_from_object, first_id, small))
             lists.append(rows)
             first, first_id = first + len(rows), first_id + found[-1].triangles
     if found:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -124,23 +124,30 @@ def _cover_program(
     )
 
 
-def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool, leaders: Leaders) -> Interface:
-    """Returns the program that writes the attributes of triangles that stand for groups of sub-samples."""
+def surface_program(
+    variant: Variant, lattice: Lattice, group: Group, one: bool, leaders: Leaders, placed: Collection[str] = ()
+) -> Interface:
+    """Returns the program that writes the attributes of triangles that stand for groups of sub-samples. `placed`: the
+    samplers of PLACED that hold what is evaluated there of them."""
     names = [name for name in needed_defines(variant, group) if not name.endswith("ALPHA")]
+    names = [name for name in names if not (name.startswith("PS_CORNER") and _placed_name(name) in placed)]
+    names += [name.upper() for name in placed]
     samplers = ["ps_corner", *(("ps_corner_uv",) if "PS_UV" in names else ()), *(() if one else ("ps_instances",))]
     samplers += ["ps_blocks"] if group.blocks else []
     samplers += [name for name in CORNERS if name.upper() in names]
+    samplers += placed
     samplers += [name for name in group.textures if name.upper() in names]
     kinds = {"COLOR": variant.color, "SURFACE": variant.surface, "EMISSION": variant.emission}
-    if any(on and not {f"PS_BAKED_{kind}", f"PS_CORNER_{kind}"} & set(names) for kind, on in kinds.items()):
+    if any(on and not _ways(kind) & set(names) for kind, on in kinds.items()):
         samplers.append("ps_materials")
     averaged = not leaders.central and bool({"PS_BAKED_COLOR", "PS_BAKED_SURFACE", "PS_BAKED_EMISSION"} & set(names))
     levels = level_samplers(group.textures, names) if averaged else []
     samplers += levels
-    read = ("ps_first", "ps_second") if averaged or variant.spread else ()
+    keyed = variant.spread and "PS_PLACED_NORMAL" not in names
+    read = ("ps_first", "ps_second") if averaged or keyed else ()
     bent = variant.spread and bool({"PS_BAKED_NORMAL", "PS_BAKED_HEIGHT"} & set(names))
     read += ("ps_ids", "ps_depths") if averaged or bent else ()
-    read += ("ps_keys",) if variant.spread and not bent else ()
+    read += ("ps_keys",) if keyed and not bent else ()
     own: Fields = (("int", "first_triangle"), ("int", "last_triangle"), *(() if one else (("int", "slots"),)))
     if group.blocks:
         own = (*group_fields(one, group.blocks), ("int", "triangles"))
@@ -162,7 +169,8 @@ def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool,
         samplers=(*(("FLOAT_2D", name) for name in samplers), *leaders.samplers, *(("UINT_2D", name) for name in read)),
         outputs=variant.outputs(),
         defines=(
-            *define_entries([*variant.defines, *names, *level_defines(levels, group.defines)]),
+            *define_entries([name for name in variant.defines if keyed or name != "PS_SPREAD"]),
+            *define_entries([*names, *level_defines(levels, group.defines)]),
             *((("PS_ONE_INSTANCE", "1"),) if one else ()),
             *offset_defines(lattice),
             *((LATTICE_DEFINE, *member_defines(lattice)) if read else ()),
@@ -171,6 +179,15 @@ def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool,
             *leaders.defines,
         ),
     )
+
+
+def _ways(kind: str) -> set[str]:
+    """The defines of where an attribute may come from, but for constants."""
+    return {f"PS_{way}_{kind}" for way in ("BAKED", "CORNER", "PLACED")}
+
+
+def _placed_name(name: str) -> str:
+    return name.replace("PS_CORNER", "PS_PLACED").lower()
 
 
 class PolygonDepths:
@@ -330,8 +347,10 @@ class PolygonCover(PolygonDepths):
         groups: Groups,
         leaders: Leaders,
         out: GBuffer,
+        placed: dict[str, Texture],
     ) -> None:
-        """Writes the attributes of the triangles that stand for groups."""
+        """Writes the attributes of the triangles that stand for groups. `placed`: textures of PLACED, as long as the
+        list of groups."""
         sub_samples = {**leaders.bound, **groups.codes, **self._buffer.textures}
         footprint = view.footprint * self._buffer.lattice.spacing
         for draw in self.draws:
@@ -339,7 +358,8 @@ class PolygonCover(PolygonDepths):
             if where is None:
                 continue
             for group in draw.groups:
-                program = surface_program(variant, self._buffer.lattice, group, draw.one, leaders)
+                here = {name: placed[name] for name in group.placed if name in placed}
+                program = surface_program(variant, self._buffer.lattice, group, draw.one, leaders, here)
                 first = group.first // 3
                 own = {"first_triangle": first, "last_triangle": first + group.count // 3, "slots": draw.repeats}
                 own |= {"rectangle": where, "corner": leaders.place[1]}
@@ -347,6 +367,6 @@ class PolygonCover(PolygonDepths):
                     program,
                     out.target,
                     uniforms=self._record(program, draw, group, view, footprint=footprint, **own),
-                    textures={**shared, **draw.mesh.textures, **group.textures, **draw.textures, **sub_samples},
+                    textures={**shared, **draw.mesh.textures, **group.textures, **draw.textures, **sub_samples, **here},
                     vertices=6,
                 )

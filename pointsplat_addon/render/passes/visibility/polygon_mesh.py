@@ -13,7 +13,7 @@ from ....core.numeric.record import value_record
 from ....core.scene.bounds import bounding_box, used_positions
 from ....core.scene.materials import MaterialTable
 from ....core.scene.mesh import Mesh
-from ....core.surface.appearance import at_corners, graphs_of, pictured, uv_of
+from ....core.surface.appearance import at_corners, graphs_of, interpolates, pictured, uv_of
 from ....core.surface.density import PART, Parts
 from ...device.packing import PAGE_WIDTH, paged
 from ...device.protocol import CHANNELS, Device, Texture, WriteTexels
@@ -40,6 +40,13 @@ LOOKS = {
     "ps_corner_emission": "RGBA16F",
     "ps_corner_uv": "RG32F",
 }
+# Formats of the textures of what is evaluated where it is seen, one texel for each group of sub-samples.
+PLACED = {
+    "ps_placed_color": "RGBA16F",
+    "ps_placed_surface": "RG32F",
+    "ps_placed_emission": "RGBA16F",
+    "ps_placed_normal": "RGBA16F",
+}
 
 
 @dataclass
@@ -56,6 +63,7 @@ class Group:
     stretch: float = 0.0  # that UV changes along a unit of object space, on a twentieth of the surface more
     start: np.ndarray | None = None  # (B + 1,) int64: the first corner of each part of the mesh
     chunks: np.ndarray | None = None  # (C, 2, 3) float64: boxes around CHUNK triangles each, relative to the origin
+    placed: tuple[str, ...] = ()  # of PLACED, what its graphs are evaluated for at each group of sub-samples
     blocks: bool = False  # a range of blocks of triangles that a view lists, of any meshes and materials of a page
 
     def rows(self, parts: np.ndarray) -> np.ndarray:
@@ -84,6 +92,7 @@ class Arranged:
     corners: WriteTexels  # of the texture ps_corner
     looks: dict[str, np.ndarray]  # (3T, C) by sampler name, in the formats of LOOKS
     groups: list[Group]
+    order: np.ndarray | None = None  # (T,) int: triangles of the mesh in this order; None: as they come
 
 
 def arrange(
@@ -111,26 +120,39 @@ def arrange(
     looks, at_each_corner, normals = _looks(mesh, order, table, flat, emission) if flat else ({}, (), None)
     if shown:
         looks["ps_corner_uv"] = np.zeros((3 * len(mesh.triangles), 2), np.float32)
+    at_places = _placed([graph for graph in flat.values() if not interpolates(graph)])
     groups = []
     for row, first, end in _ranges(mesh, order):
         defines: tuple[str, ...] = ()
-        graph = shown.get(row)
+        graph, placed = shown.get(row), ()
         if graph is not None:
             looks["ps_corner_uv"][3 * first : 3 * end] = _ordered(uv_of(mesh, graph), order, slice(first, end))
             defines = baked_defines(graph, emission)
         elif row in flat:
             defines = at_each_corner
+            placed = at_places if not interpolates(flat[row]) else ()
         begins = None
         if parts is not None:
             part = np.arange(first, end) if by_material is None else by_material[first:end]
             begins = 3 * (first + np.searchsorted(part // PART, np.arange(len(parts) + 1)))
-        made = Group(row, 3 * first, 3 * (end - first), bool(table.cull[row]), defines, graph, start=begins)
+        made = Group(
+            row, 3 * first, 3 * (end - first), bool(table.cull[row]), defines, graph, start=begins, placed=placed
+        )
         if chunked:
             made.chunks = _chunk_boxes(mesh, slice(first, end) if order is None else order[first:end]) - origin
         if graph is not None:
             made.stretch = _stretch(mesh, order, range(first, end), looks["ps_corner_uv"])
         groups.append(made)
-    return Arranged(origin, box, len(mesh.triangles), corner_texels(mesh, order, origin, normals), looks, groups)
+    texels = corner_texels(mesh, order, origin, normals)
+    return Arranged(origin, box, len(mesh.triangles), texels, looks, groups, order)
+
+
+def _placed(graphs: list[MaterialGraph]) -> tuple[str, ...]:
+    """Returns which of PLACED graphs vary."""
+    channels = {name for graph in graphs for name in graph.channels}
+    kinds = {"color": {"base_color"}, "surface": {"roughness", "metallic"}}
+    kinds |= {name: {name} for name in ("emission", "normal")}
+    return tuple(f"ps_placed_{kind}" for kind, names in kinds.items() if names & channels)
 
 
 def _looks(
@@ -172,6 +194,7 @@ class PolygonMesh:
         arranged = arrange(mesh, table, variant.emission, parts, order, chunked)
         self.triangles, self.origin, self.box = arranged.triangles, arranged.origin, arranged.box
         self.groups = arranged.groups
+        self.order = arranged.order if any(group.placed for group in arranged.groups) else None
         size = PAGE_WIDTH, max(1, -(-3 * self.triangles // PAGE_WIDTH))
         self.textures: dict[str, Texture] = {"ps_corner": device.texture(size, "RGBA32F", arranged.corners)}
         for name, values in arranged.looks.items():

@@ -47,6 +47,7 @@ class PolygonPage:
         self.box = np.array([mesh.box for mesh in arranged])  # (M, 2, 3) float64, relative to the origins
         self.first = offsets([mesh.triangles for mesh in arranged])  # (M + 1,) triangle of each mesh
         self.kinds = _kinds(arranged, self.first)
+        self.orders = [one.order if any(group.placed for group in one.groups) else None for one in arranged]
         self.textures: dict[str, Texture] = {}
         for name, format in {"ps_corner": "RGBA32F", **LOOKS}.items():
             if name == "ps_corner" or any(name in mesh.looks for mesh in arranged):
@@ -76,7 +77,7 @@ def _kinds(arranged: list[Arranged], first: np.ndarray) -> list[Kind]:
         for group in mesh.groups:
             # Pictures are those of a graph over constants of its material.
             pictured = None if group.graph is None else (group.graph.digest, group.material)
-            alike = (group.cull, group.defines, pictured)
+            alike = (group.cull, group.defines, group.placed, pictured)
             begin = int(first[number]) + group.first // 3
             kinds.setdefault(alike, []).append((number, begin, begin + group.count // 3, group.material, group.stretch))
             groups.setdefault(alike, replace(group, first=0, count=0, blocks=True))

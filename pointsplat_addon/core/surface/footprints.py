@@ -1,0 +1,105 @@
+"""Material graphs over the footprints of pixels on triangles: a mean of few places where a graph hardly changes, and of
+more where it does."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..material.evaluation import Appearance
+from ..material.graph import MaterialGraph
+from ..numeric.vectors import unit_rows
+from ..scene.materials import MaterialTable
+from ..scene.mesh import Mesh
+from .appearance import at_places
+from .samples import Samples, take_samples
+
+Look = dict[str, np.ndarray]  # attributes by their names in Appearance, (P, N, C)
+# Places in a footprint, in its half-diameters; two on opposite sides, two more, and a place in each of 4 by 4 squares.
+FEW = np.array([[-0.75, -0.25], [0.75, 0.25]])
+MORE = np.array([[0.25, -0.75], [-0.25, 0.75]])
+MANY = np.stack(np.meshgrid(*2 * [np.arange(4)], indexing="ij"), axis=-1).reshape(-1, 2)
+MANY = (2 * (MANY + (MANY[:, ::-1] + 0.5) / 4) / 4) - 1  # of which no two lie in one row or column
+CHANGE = 1 / 64  # of an attribute: places that differ by more are not enough
+
+
+def footprints(
+    mesh: Mesh, triangle: np.ndarray, position: np.ndarray, across: np.ndarray, along: np.ndarray
+) -> Samples:
+    """Returns footprints around positions (N, 3) float64 in the planes of triangles (N,) of a mesh, in object space.
+
+    across, along: (N, 3) float64, half-diameters of the footprints.
+    """
+    first, second, third = mesh.position[mesh.triangles[triangle]].astype(np.float64).transpose(1, 0, 2)
+    a, b = second - first, third - first
+    place, *ends = (_weights(a, b, way) for way in (position - first, across, along))
+    return Samples(
+        "PATCHES",
+        triangle.astype(np.int32),
+        np.clip(place, 0, 1).astype(np.float32),
+        np.stack(ends, axis=1).astype(np.float32),
+    )
+
+
+def _weights(a: np.ndarray, b: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """(N, 2) of a and b, whose sum is nearest to `way`, all (N, 3); zeros where a and b are parallel."""
+    aa, ab, bb = (np.einsum("nc,nc->n", *pair) for pair in ((a, a), (a, b), (b, b)))
+    along_a, along_b = (np.einsum("nc,nc->n", edge, way) for edge in (a, b))
+    det = aa * bb - ab * ab
+    found = np.stack([bb * along_a - ab * along_b, aa * along_b - ab * along_a], axis=1)
+    return np.divide(found, det[:, None], out=np.zeros_like(found), where=det[:, None] > 0)
+
+
+def over_footprints(mesh: Mesh, samples: Samples, graphs: dict[int, MaterialGraph], table: MaterialTable) -> Appearance:
+    """The appearance of a mesh, its mean over each sample's footprint; all but alpha."""
+    seen, triangle = np.unique(samples.triangle, return_inverse=True)
+    mesh = mesh.take(seen)
+    samples = Samples(samples.method, triangle.reshape(-1).astype(np.int32), samples.barycentric, samples.ellipse)
+    look = _at(mesh, samples, graphs, table, FEW, 0.6)
+    found = {name: values.mean(axis=0) for name, values in look.items()}
+    rows = _uneven(look)
+    if len(rows):
+        some = take_samples(samples, rows)
+        again = _at(mesh, some, graphs, table, MORE, 0.5)
+        four = {name: np.concatenate([values[:, rows], again[name]]) for name, values in look.items()}
+        uneven = _uneven(four)
+        for name, values in four.items():
+            found[name][rows] = values.mean(axis=0)
+        if len(uneven):
+            many = _at(mesh, take_samples(some, uneven), graphs, table, MANY, 0.25)
+            for name, values in many.items():
+                found[name][rows[uneven]] = values.mean(axis=0)
+    if "normal" in found:
+        found["normal"] = unit_rows(found["normal"])
+    return Appearance(**found)
+
+
+def _at(
+    mesh: Mesh,
+    samples: Samples,
+    graphs: dict[int, MaterialGraph],
+    table: MaterialTable,
+    places: np.ndarray,
+    share: float,
+) -> Look:
+    """The appearance at P places of each of N footprints. `share`: of a footprint, that each place stands for."""
+    assert samples.ellipse is not None
+    moved = np.einsum("pk,nkc->pnc", places, samples.ellipse)
+    whole = Samples(
+        samples.method,
+        np.tile(samples.triangle, len(places)),
+        (samples.barycentric + moved).reshape(-1, 2).astype(np.float32),
+        np.tile(np.float32(share) * samples.ellipse, (len(places), 1, 1)),
+    )
+    look = at_places(mesh, whole, graphs, table)
+    named = {name: getattr(look, name) for name in ("color", "surface", "emission", "normal")}
+    return {n: a.reshape(len(places), len(samples), -1) for n, a in named.items() if a is not None}
+
+
+def _uneven(look: Look) -> np.ndarray:
+    """The rows (K,) int of footprints in which an attribute changes."""
+    found = np.zeros(0, np.bool_)
+    for values in look.values():
+        least, most = values.min(axis=0), values.max(axis=0)
+        change = (most - least > CHANGE * np.maximum(most, 1)).any(axis=1)
+        found = change if not len(found) else found | change
+    return np.flatnonzero(found)
