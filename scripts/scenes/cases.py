@@ -35,6 +35,7 @@ from scripts.scenes.solid_cases import (
     sphere,
     textured,
     unlit,
+    waves,
     wide_balls,
 )
 from scripts.scenes.translucent_cases import in_fog, in_smoke, panes, smoke, tinted_panes, tinted_smoke
@@ -48,6 +49,7 @@ CASES: dict[str, Callable[[], Case]] = {
         plain_sphere,
         mixed,
         textured,
+        waves,
         instances,
         balls,
         wide_balls,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pointsplat_addon.core.material.graph import MaterialGraph
-from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, texture_nodes
+from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, math_nodes, texture_nodes
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.world import World
 from scripts.scenes.build import materials, mesh, moved, picture, points, scene
@@ -58,6 +58,35 @@ def textured() -> Case:
             table=materials(graphs=(graph,)),
         ),
         camera((0.5, -5, 1)),
+    )
+
+
+def waves() -> Case:
+    """A function of where things are as colour, roughness, light and normal, on a mesh with instances and on small ones
+    that share a page."""
+    zero = input_nodes.Constant((0.0,))
+
+    def wave(axis: int, frequency: float) -> math_nodes.Math:
+        place = color_nodes.Component(input_nodes.Coordinates("position"), axis)
+        angle = math_nodes.Math(place, input_nodes.Constant((frequency,)), zero, "MULTIPLY")
+        sine = math_nodes.Math(angle, zero, zero, "SINE")
+        return math_nodes.Math(sine, sine, zero, "MULTIPLY")
+
+    color = color_nodes.Color(wave(0, 7.0))
+    graphs = (
+        MaterialGraph(base_color=color, roughness=wave(1, 5.0), emission=color_nodes.Color(wave(2, 4.0))),
+        MaterialGraph(base_color=color, normal=input_nodes.Coordinates("position")),
+    )
+    large, small = mesh(cube_mesh("waves"), "POLYGONS"), replace(cube_mesh("waves small", 0.5), materials=(1,))
+    return Case(
+        scene(
+            (mesh(plane_mesh("waves floor", size=3.0), "POLYGONS"), moved((0, 0, -0.8))),
+            (mesh(small, "POLYGONS"), moved((-0.9, -0.6, 0), 0.4)),
+            (large, moved((0.6, 0.5, 0), 0.7)),
+            (large, moved((1.8, 1.5, 0.4), 1.2)),
+            table=materials(2, graphs=graphs),
+        ),
+        camera((0.5, -5, 2)),
     )
 
 

@@ -23,7 +23,10 @@ int material_row;
 
 #include "lib/data/polygon.glsl"
 
-#if defined(PS_AVERAGE) || defined(PS_SPREAD)
+#if defined(PS_SPREAD) && !defined(PS_PLACED_NORMAL)
+#define PS_KEYED
+#endif
+#if defined(PS_AVERAGE) || defined(PS_KEYED)
 #include "lib/visibility/groups.glsl"
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/surface_key.glsl"
@@ -301,13 +304,17 @@ void main()
   PsShown shown = ps_shown(slot, own, weights, leader.position);
 #endif
 #ifdef PS_PLACED_NORMAL
-  shown.normal = ps_view_normal(ps_linear(slot), texelFetch(ps_placed_normal, leader.texel, 0).xyz);
+  vec4 placed = texelFetch(ps_placed_normal, leader.texel, 0);  // and the variance of its slopes
+  shown.normal = ps_view_normal(ps_linear(slot), placed.xyz);
+#ifdef PS_SPREAD
+  s.centre.y = placed.w;
+#endif
 #endif
   s.normal.xyz = shown.normal;
   ps_seen_from(s, shown.plane, shown.turned);
 #if defined(PS_SPREAD) && defined(PS_BENT)
   ps_shade_by_bends(s, leader, slot);
-#elif defined(PS_SPREAD)
+#elif defined(PS_KEYED)
   ps_shade_by_keys(s, leader.pixel, leader.layer);
 #endif
 #endif

@@ -231,13 +231,18 @@ def interpolates(graph: MaterialGraph) -> bool:
     )
 
 
-def at_places(mesh: Mesh, samples: Samples, graphs: dict[int, MaterialGraph], table: MaterialTable) -> Appearance:
+def at_places(
+    mesh: Mesh, samples: Samples, graphs: dict[int, MaterialGraph], table: MaterialTable, scale: np.ndarray
+) -> Appearance:
     """The appearance of a mesh at places in its triangles, with normals that are interpolated between the corners'.
-    Images are filtered over the samples' ellipses."""
+    Images are filtered over the samples' ellipses.
+
+    scale: (N,) float32, world units of one of object space: heights are in the former.
+    """
     triangles = mesh.position[mesh.triangles]
     position = interpolate(mesh, samples, triangles)
     normal = normalize_rows(interpolate(mesh, samples, corner_normals(mesh).reshape(-1, 3, 3)))
-    return _evaluate(mesh, samples, material_ids(mesh, samples), position, normal, graphs, table, wide=True)
+    return _evaluate(mesh, samples, material_ids(mesh, samples), position, normal, graphs, table, True, scale)
 
 
 def corner_normals(mesh: Mesh) -> np.ndarray:
@@ -286,11 +291,16 @@ def _evaluate(
     graphs: dict[int, MaterialGraph],
     table: MaterialTable,
     wide: bool = False,
+    scale: np.ndarray | None = None,
 ) -> Appearance:
-    """The appearance at samples with these material rows. wide: images are filtered over the samples' splats."""
+    """The appearance at samples with these material rows. wide: images are filtered over the samples' splats. scale:
+    (N,), world units of one of object space; None: they are alike."""
 
     def inputs(graph: MaterialGraph, part: Part) -> SampleInputs:
-        return _inputs(mesh, graph, _subset(samples, part), position[part], normal[part], wide)
+        found = _inputs(mesh, graph, _subset(samples, part), position[part], normal[part], wide)
+        if scale is None or found.steps is None:
+            return found
+        return replace(found, steps=found.steps * scale[part, None])
 
     return evaluate_materials(rows, graphs, inputs, table, normal)
 

@@ -7,7 +7,6 @@ import numpy as np
 
 from ..material.evaluation import Appearance
 from ..material.graph import MaterialGraph
-from ..numeric.vectors import unit_rows
 from ..scene.materials import MaterialTable
 from ..scene.mesh import Mesh
 from .appearance import at_places
@@ -49,27 +48,32 @@ def _weights(a: np.ndarray, b: np.ndarray, way: np.ndarray) -> np.ndarray:
     return np.divide(found, det[:, None], out=np.zeros_like(found), where=det[:, None] > 0)
 
 
-def over_footprints(mesh: Mesh, samples: Samples, graphs: dict[int, MaterialGraph], table: MaterialTable) -> Appearance:
-    """The appearance of a mesh, its mean over each sample's footprint; all but alpha."""
+def over_footprints(
+    mesh: Mesh, samples: Samples, graphs: dict[int, MaterialGraph], table: MaterialTable, scale: np.ndarray
+) -> Appearance:
+    """The appearance of a mesh, its mean over each sample's footprint; all but alpha. The mean of normals is the
+    shorter the more they turn. scale: (N,), see at_places."""
     seen, triangle = np.unique(samples.triangle, return_inverse=True)
     mesh = mesh.take(seen)
     samples = Samples(samples.method, triangle.reshape(-1).astype(np.int32), samples.barycentric, samples.ellipse)
-    look = _at(mesh, samples, graphs, table, FEW, 0.6)
+
+    def at(rows: np.ndarray, places: np.ndarray, share: float) -> Look:
+        return _at(mesh, take_samples(samples, rows), graphs, table, scale[rows], places, share)
+
+    look = at(np.arange(len(samples)), FEW, 0.6)
     found = {name: values.mean(axis=0) for name, values in look.items()}
-    rows = _uneven(look)
+    # Two places do not tell how far normals turn.
+    rows = np.arange(len(samples)) if "normal" in look else _uneven(look)
     if len(rows):
-        some = take_samples(samples, rows)
-        again = _at(mesh, some, graphs, table, MORE, 0.5)
+        again = at(rows, MORE, 0.5)
         four = {name: np.concatenate([values[:, rows], again[name]]) for name, values in look.items()}
         uneven = _uneven(four)
         for name, values in four.items():
             found[name][rows] = values.mean(axis=0)
         if len(uneven):
-            many = _at(mesh, take_samples(some, uneven), graphs, table, MANY, 0.25)
-            for name, values in many.items():
-                found[name][rows[uneven]] = values.mean(axis=0)
-    if "normal" in found:
-        found["normal"] = unit_rows(found["normal"])
+            uneven = rows[uneven]
+            for name, values in at(uneven, MANY, 0.25).items():
+                found[name][uneven] = values.mean(axis=0)
     return Appearance(**found)
 
 
@@ -78,6 +82,7 @@ def _at(
     samples: Samples,
     graphs: dict[int, MaterialGraph],
     table: MaterialTable,
+    scale: np.ndarray,
     places: np.ndarray,
     share: float,
 ) -> Look:
@@ -90,7 +95,7 @@ def _at(
         (samples.barycentric + moved).reshape(-1, 2).astype(np.float32),
         np.tile(np.float32(share) * samples.ellipse, (len(places), 1, 1)),
     )
-    look = at_places(mesh, whole, graphs, table)
+    look = at_places(mesh, whole, graphs, table, np.tile(scale, len(places)))
     named = {name: getattr(look, name) for name in ("color", "surface", "emission", "normal")}
     return {n: a.reshape(len(places), len(samples), -1) for n, a in named.items() if a is not None}
 

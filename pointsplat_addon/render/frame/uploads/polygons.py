@@ -122,7 +122,7 @@ class PolygonUploads:
 
         def make(mesh: Mesh = mesh, parts: Parts | None = parts) -> PolygonMesh:
             order = parts.order if parts is not None else coherent_order(mesh) if whole else None
-            return PolygonMesh(self._scope.device, mesh, scene.materials, plan.variant, parts, order)
+            return PolygonMesh(self._scope.device, mesh, scene.materials, plan.variant, parts, order, whole)
 
         found: PolygonMesh = self._scope.lookup(key, make)
         here = self._prepared.polygons[scene.instances.geometry[self._prepared.polygons] == row]

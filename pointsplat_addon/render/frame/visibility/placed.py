@@ -70,11 +70,19 @@ def placed_textures(
             where = np.stack([column, row_of], axis=1) + 0.5
             where += lattice.positions[members[here]]
             rays = _Rays(view, where, depths[here].view(np.float32).astype(np.float64) + view.near)
-            samples = rays.footprints(mesh, triangle[own], draw.object_from_view(slot[own]))
-            look = over_footprints(mesh, samples, graphs, scene.materials)
+            object_from_view = draw.object_from_view(slot[own])
+            samples = rays.footprints(mesh, triangle[own], object_from_view)
+            scale = np.cbrt(np.abs(np.linalg.det(object_from_view[:, :3, :3]))).astype(np.float32)
+            scale = np.divide(1, scale, out=np.ones_like(scale), where=scale > 0)
+            look = over_footprints(mesh, samples, graphs, scene.materials, scale)
             for name in ("color", "surface", "emission", "normal"):
                 values = getattr(look, name)
                 if values is not None:
+                    if name == "normal":
+                        # The variance of slopes, as in lib/visibility/normal_spread.glsl.
+                        length = np.einsum("nc,nc->n", values, values)
+                        spread = np.maximum(1 / np.maximum(length, 1e-4) - 1, 0)
+                        values = np.column_stack([unit_rows(values), spread])
                     channels = CHANNELS[PLACED[f"ps_placed_{name}"]]
                     out = found.setdefault(name, np.zeros((leaders.size[0] * leaders.size[1], channels), np.float32))
                     out[here, : values.shape[1]] = values

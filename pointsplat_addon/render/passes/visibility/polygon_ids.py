@@ -169,8 +169,7 @@ def surface_program(
         samplers=(*(("FLOAT_2D", name) for name in samplers), *leaders.samplers, *(("UINT_2D", name) for name in read)),
         outputs=variant.outputs(),
         defines=(
-            *define_entries([name for name in variant.defines if keyed or name != "PS_SPREAD"]),
-            *define_entries([*names, *level_defines(levels, group.defines)]),
+            *define_entries([*variant.defines, *names, *level_defines(levels, group.defines)]),
             *((("PS_ONE_INSTANCE", "1"),) if one else ()),
             *offset_defines(lattice),
             *((LATTICE_DEFINE, *member_defines(lattice)) if read else ()),

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ....core.material.graph import MaterialGraph
+from ....core.material.graph import MaterialGraph, needs
 from ....core.numeric.record import value_record
 from ....core.scene.bounds import bounding_box, used_positions
 from ....core.scene.materials import MaterialTable
@@ -102,8 +102,10 @@ def arrange(
     parts: Parts | None = None,
     order: np.ndarray | None = None,
     chunked: bool = False,
+    placing: bool = False,
 ) -> Arranged:
     """Returns what is uploaded of a mesh. `emission`: something glows. `chunked`: chunks of it may be left out.
+    `placing`: graphs are evaluated where they are seen unless pictures show them as well.
 
     `order`: (T,) triangles in the order of the parts, or without parts in any; None: as they come.
     """
@@ -116,28 +118,32 @@ def arrange(
         order = by_material if order is None else order[by_material]
     graphs = graphs_of(mesh, table)
     shown = {row: graph for row, graph in graphs.items() if pictured(mesh, graph)}
+    if placing:  # pictures of functions are as coarse as they are made; but their alpha is needed at all sub-samples
+        shown = {row: graph for row, graph in shown.items() if needs(graph).images or graph.alpha is not None}
     flat = {row: graph for row, graph in graphs.items() if row not in shown}
+    placed = {row: graph for row, graph in flat.items() if placing and not interpolates(graph)}
+    at_places = _placed(list(placed.values()))
+    # Of these, alpha alone is needed at corners.
+    flat |= {row: MaterialGraph(alpha=graph.alpha) for row, graph in placed.items()}
+    flat = {row: graph for row, graph in flat.items() if graph.channels}
     looks, at_each_corner, normals = _looks(mesh, order, table, flat, emission) if flat else ({}, (), None)
     if shown:
         looks["ps_corner_uv"] = np.zeros((3 * len(mesh.triangles), 2), np.float32)
-    at_places = _placed([graph for graph in flat.values() if not interpolates(graph)])
     groups = []
     for row, first, end in _ranges(mesh, order):
         defines: tuple[str, ...] = ()
-        graph, placed = shown.get(row), ()
+        graph = shown.get(row)
         if graph is not None:
             looks["ps_corner_uv"][3 * first : 3 * end] = _ordered(uv_of(mesh, graph), order, slice(first, end))
             defines = baked_defines(graph, emission)
         elif row in flat:
             defines = at_each_corner
-            placed = at_places if not interpolates(flat[row]) else ()
         begins = None
         if parts is not None:
             part = np.arange(first, end) if by_material is None else by_material[first:end]
             begins = 3 * (first + np.searchsorted(part // PART, np.arange(len(parts) + 1)))
-        made = Group(
-            row, 3 * first, 3 * (end - first), bool(table.cull[row]), defines, graph, start=begins, placed=placed
-        )
+        made = Group(row, 3 * first, 3 * (end - first), bool(table.cull[row]), defines, graph, start=begins)
+        made.placed = at_places if row in placed else ()
         if chunked:
             made.chunks = _chunk_boxes(mesh, slice(first, end) if order is None else order[first:end]) - origin
         if graph is not None:
@@ -188,10 +194,11 @@ class PolygonMesh:
         variant: Variant,
         parts: Parts | None = None,
         order: np.ndarray | None = None,
+        placing: bool = False,
     ) -> None:
-        """`parts`, `order`: see arrange."""
+        """`parts`, `order`, `placing`: see arrange."""
         chunked = parts is None and len(mesh.triangles) >= FEWEST_CHUNKS * CHUNK
-        arranged = arrange(mesh, table, variant.emission, parts, order, chunked)
+        arranged = arrange(mesh, table, variant.emission, parts, order, chunked, placing)
         self.triangles, self.origin, self.box = arranged.triangles, arranged.origin, arranged.box
         self.groups = arranged.groups
         self.order = arranged.order if any(group.placed for group in arranged.groups) else None

@@ -42,7 +42,7 @@ class PolygonPage:
     """
 
     def __init__(self, device: Device, meshes: list[Mesh], table: MaterialTable, variant: Variant) -> None:
-        arranged = [arrange(mesh, table, variant.emission, order=coherent_order(mesh)) for mesh in meshes]
+        arranged = [arrange(one, table, variant.emission, order=coherent_order(one), placing=True) for one in meshes]
         self.origin = np.array([mesh.origin for mesh in arranged])  # (M, 3) float64
         self.box = np.array([mesh.box for mesh in arranged])  # (M, 2, 3) float64, relative to the origins
         self.first = offsets([mesh.triangles for mesh in arranged])  # (M + 1,) triangle of each mesh
@@ -104,5 +104,5 @@ def _texels(name: str, arranged: list[Arranged], first: np.ndarray, count: int, 
         if name == "ps_corner":
             mesh.corners(own, slice(0, len(own)))
         elif name in mesh.looks:
-            own[:] = mesh.looks[name]
+            own[:, : mesh.looks[name].shape[1]] = mesh.looks[name]
     return found
