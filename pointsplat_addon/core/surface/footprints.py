@@ -88,7 +88,7 @@ def _at(
 ) -> Look:
     """The appearance at P places of each of N footprints. `share`: of a footprint, that each place stands for."""
     assert samples.ellipse is not None
-    moved = np.einsum("pk,nkc->pnc", places, samples.ellipse)
+    moved = places[:, :1, None] * samples.ellipse[:, 0] + places[:, 1:, None] * samples.ellipse[:, 1]
     whole = Samples(
         samples.method,
         np.tile(samples.triangle, len(places)),

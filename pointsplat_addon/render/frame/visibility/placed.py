@@ -8,11 +8,12 @@ expressions of NumPy.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
 from ....core.numeric.lattice import Lattice
-from ....core.numeric.vectors import unit_rows
+from ....core.numeric.vectors import each_block, unit_rows
 from ....core.scene.mesh import Mesh
 from ....core.scene.scene import Scene
 from ....core.surface.appearance import graphs_of
@@ -26,6 +27,7 @@ from ...passes.visibility.buffer import RASTERISED
 from ...passes.visibility.polygon_draw import Drawn
 from ...passes.visibility.polygon_mesh import PLACED
 
+BLOCK = 1 << 14  # groups: the scratch of one block stays in the cache
 GRAZING = 1e-2  # cosine: footprints of surfaces that are seen at a lower angle are as long as at this one
 
 
@@ -48,78 +50,93 @@ def placed_textures(
     count = len(ids) if leaders.central else groups.total
     number = (ids[:count] & ~np.uint32(RASTERISED)).astype(np.int64)
     number[ids[:count] == EMPTY] = -1
-    found: dict[str, np.ndarray] = {}
+    names = {name for draw in shown for group in draw.groups for name in group.placed}
+    names = sorted(name for name in names if getattr(variant, name.removeprefix("ps_placed_")))
+    texels = leaders.size[0] * leaders.size[1]
+    found = {name: np.zeros((texels, CHANNELS[PLACED[name]]), np.float32) for name in names}
+    width = leaders.size[0] if leaders.central else view.size[0]
+
+    def evaluate(draw: Drawn, mesh: Mesh, slot: np.ndarray, triangle: np.ndarray, here: np.ndarray) -> None:
+        """Of triangles (N,) of a mesh, drawn by slots (N,), that are shown by groups (N,)."""
+        graphs = graphs_of(mesh, scene.materials)
+        if not draw.groups[0].blocks:  # all triangles of a page that are drawn alike are placed
+            graphs = {group.material: graphs[group.material] for group in draw.groups if group.placed}
+        pixel = here if leaders.central else groups.entries[here, 0].astype(np.int64)
+        row, column = np.divmod(pixel, width)
+        where = np.stack([column, row], axis=1) + 0.5 + lattice.positions[members[here]]
+        depth = depths[here].view(np.float32).astype(np.float64) + view.near
+        samples, scale = _footprints(view, where, depth, mesh, triangle, draw.object_from_view, slot)
+        look = over_footprints(mesh, samples, graphs, scene.materials, scale)
+        for name, out in found.items():
+            values = getattr(look, name.removeprefix("ps_placed_"))
+            if values is None:
+                continue
+            if name == "ps_placed_normal":
+                # The variance of slopes, as in lib/visibility/normal_spread.glsl.
+                length = np.einsum("nc,nc->n", values, values)
+                spread = np.maximum(1 / np.maximum(length, 1e-4) - 1, 0)
+                values = np.column_stack([unit_rows(values), spread])
+            out[here, : values.shape[1]] = values
+
+    def work(draw: Drawn, mesh: Mesh, places: tuple[np.ndarray, ...], block: slice) -> None:
+        evaluate(draw, mesh, *(array[block] for array in places))
+
     for draw in shown:
         mine = np.flatnonzero((number >= draw.first_id) & (number < draw.first_id + draw.triangles))
         slot, triangle = draw.locate(number[mine] - draw.first_id)
-        geometry = scene.instances.geometry[draw.instance]
-        for row in np.unique(geometry[slot]).tolist():
+        geometry = scene.instances.geometry[draw.instance][slot]
+        for row in np.unique(geometry).tolist():
             mesh = scene.geometries[row].mesh
             assert mesh is not None
-            graphs = graphs_of(mesh, scene.materials)
-            if not draw.groups[0].blocks:  # all triangles of a page that are drawn alike are placed
-                graphs = {group.material: graphs[group.material] for group in draw.groups if group.placed}
-            own = np.flatnonzero(geometry[slot] == row)
-            if mesh.material is not None:
-                own = own[np.isin(mesh.material[triangle[own]], list(graphs))]
-            if not len(own):
-                continue
-            here = mine[own]
-            pixel = here if leaders.central else groups.entries[here, 0].astype(np.int64)
-            row_of, column = np.divmod(pixel, leaders.size[0] if leaders.central else view.size[0])
-            where = np.stack([column, row_of], axis=1) + 0.5
-            where += lattice.positions[members[here]]
-            rays = _Rays(view, where, depths[here].view(np.float32).astype(np.float64) + view.near)
-            object_from_view = draw.object_from_view(slot[own])
-            samples = rays.footprints(mesh, triangle[own], object_from_view)
-            scale = np.cbrt(np.abs(np.linalg.det(object_from_view[:, :3, :3]))).astype(np.float32)
-            scale = np.divide(1, scale, out=np.ones_like(scale), where=scale > 0)
-            look = over_footprints(mesh, samples, graphs, scene.materials, scale)
-            for name in ("color", "surface", "emission", "normal"):
-                values = getattr(look, name)
-                if values is not None:
-                    if name == "normal":
-                        # The variance of slopes, as in lib/visibility/normal_spread.glsl.
-                        length = np.einsum("nc,nc->n", values, values)
-                        spread = np.maximum(1 / np.maximum(length, 1e-4) - 1, 0)
-                        values = np.column_stack([unit_rows(values), spread])
-                    channels = CHANNELS[PLACED[f"ps_placed_{name}"]]
-                    out = found.setdefault(name, np.zeros((leaders.size[0] * leaders.size[1], channels), np.float32))
-                    out[here, : values.shape[1]] = values
-    return {
-        f"ps_placed_{name}": device.texture(leaders.size, PLACED[f"ps_placed_{name}"], values.reshape(-1))
-        for name, values in found.items()
-        if getattr(variant, name)
-    }
+            own = np.flatnonzero(geometry == row)
+            if mesh.material is not None and not draw.groups[0].blocks:
+                materials = [group.material for group in draw.groups if group.placed]
+                own = own[np.isin(mesh.material[triangle[own]], materials)]
+            places = slot[own], triangle[own], mine[own]
+            each_block(len(own), partial(work, draw, mesh, places), BLOCK)
+    return {name: device.texture(leaders.size, PLACED[name], values.reshape(-1)) for name, values in found.items()}
 
 
-class _Rays:
-    """Where surfaces were met by the rays through places in the picture, and how that changes from pixel to pixel."""
+def _footprints(
+    view: SampleView,
+    where: np.ndarray,
+    depth: np.ndarray,
+    mesh: Mesh,
+    triangle: np.ndarray,
+    object_from_view: np.ndarray,
+    slot: np.ndarray,
+) -> tuple[Samples, np.ndarray]:
+    """Returns the footprints of pixels on triangles (N,) of a mesh, and world units of one of object space there, (N,)
+    float32.
 
-    def __init__(self, view: SampleView, where: np.ndarray, depth: np.ndarray) -> None:
-        """where: (N, 2) float64 in pixels. depth: (N,) float64."""
-        self._view, self._depth = view, depth
-        (fx, fy), (cx, cy) = view.camera.pixel_from_view()[:2], view.principal_point
-        self._focal = np.array([fx, fy])
-        xy = (where - (cx, cy)) / self._focal
-        self.position = np.column_stack([xy * depth[:, None] if view.camera.perspective else xy, -depth])  # (N, 3)
+    where: (N, 2) float64, places in the picture in pixels. depth: (N,) float64. object_from_view: (I, 4, 4) float64, of
+    slots; slot: (N,).
+    """
+    turn, move = object_from_view[:, :3, :3], object_from_view[:, :3, 3]
+    perspective, focal = view.camera.perspective, np.array(view.camera.pixel_from_view()[:2])
+    xy = (where - view.principal_point) / focal
+    position = np.column_stack([xy * depth[:, None] if perspective else xy, -depth])
+    corners = mesh.position[mesh.triangles[triangle]].astype(np.float64)
+    plane = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    plane = unit_rows(_turned(turn.swapaxes(1, 2), slot, plane))  # in view space
+    toward = position if perspective else np.broadcast_to([0.0, 0.0, -1.0], position.shape)
+    towards = np.einsum("nc,nc->n", plane, toward)
+    least = GRAZING * np.sqrt(np.einsum("nc,nc->n", toward, toward))
+    towards = np.where(towards < 0, np.minimum(towards, -least), np.maximum(towards, least))
+    half = 0.5 * view.footprint * (depth if perspective else np.ones_like(depth))
+    ways = []
+    for axis in range(2):
+        # A ray that moves across meets the plane farther along.
+        way = -toward * (plane[:, axis] / towards)[:, None]
+        way[:, axis] += 1
+        ways.append(_turned(turn, slot, way * (half / focal[axis])[:, None]))
+    scale = np.cbrt(np.abs(np.linalg.det(turn))).astype(np.float32)
+    scale = np.divide(1, scale, out=np.ones_like(scale), where=scale > 0)
+    return footprints(mesh, triangle, _turned(turn, slot, position) + move[slot], *ways), scale[slot]
 
-    def footprints(self, mesh: Mesh, triangle: np.ndarray, object_from_view: np.ndarray) -> Samples:
-        """Returns the footprints of pixels on triangles (N,) of a mesh. object_from_view: (N, 4, 4) float64."""
-        turn, move = object_from_view[:, :3, :3], object_from_view[:, :3, 3]
-        corners = mesh.position[mesh.triangles[triangle]].astype(np.float64)
-        plane = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        plane = unit_rows(np.einsum("nij,ni->nj", turn, plane))  # in view space
-        position, perspective = self.position, self._view.camera.perspective
-        toward = position if perspective else np.broadcast_to([0.0, 0.0, -1.0], position.shape)
-        towards = np.einsum("nc,nc->n", plane, toward)
-        least = GRAZING * np.linalg.norm(toward, axis=1)
-        towards = np.where(towards < 0, np.minimum(towards, -least), np.maximum(towards, least))
-        size = (self._depth[:, None] if perspective else 1.0) / self._focal * (0.5 * self._view.footprint)
-        ways = []
-        for axis in range(2):
-            # A ray that moves across meets the plane farther along.
-            way = -toward * (plane[:, axis] / towards)[:, None]
-            way[:, axis] += 1
-            ways.append(np.einsum("nij,nj->ni", turn, way * np.broadcast_to(size, (len(way), 2))[:, axis, None]))
-        return footprints(mesh, triangle, np.einsum("nij,nj->ni", turn, position) + move, *ways)
+
+def _turned(matrices: np.ndarray, slot: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Vectors (N, 3) by the matrices, of (I, 3, 3), of their slots (N,)."""
+    if len(matrices) == 1:
+        return vectors @ matrices[0].T
+    return np.einsum("nij,nj->ni", matrices[slot], vectors)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -78,9 +79,10 @@ class PolygonDraw:
         """Returns the ranges of a group's triangles that are drawn."""
         return [group] if self._chunks is None else chunk_runs(self.groups, group, self._chunks)
 
-    def object_from_view(self, slot: np.ndarray) -> np.ndarray:
-        """Returns the transforms of slots (N,) to their object's space, (N, 4, 4) float64."""
-        return _to_objects(self._view_from_object, self.mesh.origin, slot)
+    @cached_property
+    def object_from_view(self) -> np.ndarray:
+        """The transforms of slots to their object's space, (I, 4, 4) float64."""
+        return _to_objects(self._view_from_object, self.mesh.origin)
 
     def locate(self, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Returns the slots (N,) and the triangles of their meshes (N,), by numbers (N,) in this draw."""
@@ -100,14 +102,14 @@ class PolygonDraw:
             texture.release()
 
 
-def _to_objects(view_from_object: np.ndarray, origin: np.ndarray, slot: np.ndarray) -> np.ndarray:
-    """Returns the inverses of those transforms from positions relative to origins (3,) or (I, 3) that slots (N,) have;
-    zeros of those that have none."""
+def _to_objects(view_from_object: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Returns the inverses of transforms (I, 4, 4) from positions relative to origins (3,) or (I, 3), zeros of those
+    that have none."""
     regular = np.abs(np.linalg.det(view_from_object[:, :3, :3])) > 0
     found = np.zeros_like(view_from_object)
     found[regular] = np.linalg.inv(view_from_object[regular])
     found[:, :3, 3] += origin
-    return found[slot]
+    return found
 
 
 def chunk_runs(groups: list[Group], group: Group, chunks: np.ndarray) -> list[Group]:
@@ -166,9 +168,10 @@ class BlockDraw:
         """Returns the ranges of a group's triangles that are drawn."""
         return [group]
 
-    def object_from_view(self, slot: np.ndarray) -> np.ndarray:
-        """Returns the transforms of slots (N,) to their object's space, (N, 4, 4) float64."""
-        return _to_objects(self._view_from_object, self.mesh.origin[self._member], slot)
+    @cached_property
+    def object_from_view(self) -> np.ndarray:
+        """The transforms of slots to their object's space, (I, 4, 4) float64."""
+        return _to_objects(self._view_from_object, self.mesh.origin[self._member])
 
     def locate(self, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Returns the slots (N,) and the triangles of their meshes (N,), by numbers (N,) in this draw."""
