@@ -142,10 +142,16 @@ class Synchronizer:
             pass_index=np.array([s.pass_index for s in sources], np.int32)[source],
             holdout=np.array([s.holdout for s in sources], bool)[source],
             object_hash=np.array([hash_of_name(s.name) for s in sources], np.uint32)[source],
-            casts=None if all(s.casts for s in sources) else np.array([s.casts for s in sources], bool)[source],
+            casts=_flags([s.casts for s in sources], source),
+            seen=_flags([s.seen for s in sources], source),
             matte=np.array([s.matte for s in sources], bool)[source] if any(s.matte for s in sources) else None,
             names=tuple([sources[i].name for i in source]),
         )
+
+
+def _flags(values: list[bool], source: np.ndarray) -> np.ndarray | None:
+    """(I,) bool: those of the sources (I,) of instances; None: all are set."""
+    return None if all(values) else np.array(values, bool)[source]
 
 
 def _unsupported(kinds: dict[str, list[str]]) -> list[str]:

@@ -305,7 +305,10 @@ def test_previous_transforms_are_found_by_identity_and_new_instances_stand_still
 
 
 def drawn():
-    return sorted(sync().instances.names)
+    """The names of what cameras see."""
+    instances = sync().instances
+    seen = np.ones(len(instances), bool) if instances.seen is None else instances.seen
+    return sorted(np.array(instances.names, object)[seen])
 
 
 def test_hidden_and_excluded_objects_are_not_drawn():

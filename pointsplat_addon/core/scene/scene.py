@@ -103,6 +103,7 @@ class Instances:
     pass_index: np.ndarray | None = None  # (I,) int32
     holdout: np.ndarray | None = None  # (I,) bool: cuts a hole into alpha
     casts: np.ndarray | None = None  # (I,) bool: casts shadows; None: all do
+    seen: np.ndarray | None = None  # (I,) bool: cameras see it; None: all
     # (I,) bool: meshes that stand for surfaces of footage or captures: they hide what is behind them, are not seen, and
     # catch shadows
     matte: np.ndarray | None = None

@@ -47,6 +47,7 @@ class Source:
     pass_index: int
     holdout: bool
     casts: bool  # whether it casts shadows
+    seen: bool  # whether cameras see it
     matte: bool  # whether it is a shadow catcher
     generated: bool  # whether an instancer made it: its data may belong to the instancer
     editing: bpy.types.Object | None = None  # the object, if its mesh is in edit mode
@@ -138,7 +139,7 @@ def collect(
             visible = _visibility(ob, parent, view_layer, flags)
             if visible.catcher and ob.type != "MESH":
                 unsupported.setdefault("Shadow catchers without polygons", []).append(ob.name)
-            elif visible.drawn and (view3d is None or ob.visible_in_viewport_get(view3d)):
+            elif (visible.drawn or visible.casts) and (view3d is None or ob.visible_in_viewport_get(view3d)):
                 source = _make_source(ob, view_layer.material_override, visible, instance.is_instance, clip)
                 source.motion = motion
                 own = [source]
@@ -190,6 +191,7 @@ def _make_source(
         pass_index=ob.pass_index,
         holdout=visible.holdout,
         casts=visible.casts,
+        seen=visible.drawn,
         generated=generated,
         editing=ob if ob.type == "MESH" and ob.data.is_editmode else None,
         transfer=convert_transfer(ob) if ob.type == "VOLUME" else None,

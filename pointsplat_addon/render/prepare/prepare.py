@@ -87,6 +87,8 @@ def prepare(
     with np.errstate(all="ignore"):
         view_from_object = camera.view_from_world @ scene.instances.world_from_object
     usable = drawable_transforms(view_from_object)
+    if scene.instances.seen is not None:
+        usable &= scene.instances.seen
     blur = defocus_blur(camera, node) if settings.dof_method == "SPLAT" else None
     view = View(scene, camera, settings, samples, interactive, moving, store, check, costs, blur, coarse)
     focus = None

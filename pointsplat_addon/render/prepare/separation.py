@@ -121,6 +121,7 @@ def with_repeated(instances: Instances, rows: np.ndarray, geometry: np.ndarray) 
         pass_index=extended(instances.pass_index),
         holdout=extended(instances.holdout),
         casts=extended(instances.casts),
+        seen=extended(instances.seen),
         matte=extended(instances.matte),
         object_hash=extended(instances.object_hash),
         names=(*names, *(names[row] for row in rows)) if names else (),
