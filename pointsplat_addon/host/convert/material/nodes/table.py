@@ -9,9 +9,10 @@ from .colors import COLORS
 from .inputs import INPUTS
 from .mathematics import MATHEMATICS
 from .normals import NORMALS
+from .procedural import PROCEDURAL
 from .tree import NodeConverter, Path, TreeReader
 
-NODES: dict[str, NodeConverter] = INPUTS | MATHEMATICS | COLORS | NORMALS
+NODES: dict[str, NodeConverter] = INPUTS | MATHEMATICS | COLORS | NORMALS | PROCEDURAL
 
 
 def tree_reader(material_name: str) -> TreeReader:

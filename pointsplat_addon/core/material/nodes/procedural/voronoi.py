@@ -1,0 +1,246 @@
+"""The Voronoi texture: distances to pseudo-random points, one in each cell of a lattice (Worley 1996)."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+
+from ....numeric.record import record
+from ...expression import Expression, SampleInputs
+from ..math_functions import smooth_step
+from .blocks import by_columns
+from .cells import cell_color, cell_point
+from .fractals import MOST_DETAIL
+from .noise import texture_points
+
+EDGE = 0.0001  # square of the distance between two points that have an edge between them
+LIMIT = np.float32(2.0**30)  # of lattice coordinates
+
+
+@record
+class Settings:
+    """What all octaves have in common; parameters are (n,) or (1,) float32."""
+
+    feature: str
+    metric: str
+    exponent: np.ndarray
+    smoothness: np.ndarray
+    randomness: np.ndarray
+
+
+Found = tuple[np.ndarray, np.ndarray, np.ndarray]  # distance (n,), colour (3, n), position (D, n)
+
+
+def neighbours(dimensions: int, reach: int = 1) -> Iterator[np.ndarray]:
+    """Yields the offsets (dimensions, 1) float32 of a cell's neighbours, x the fastest."""
+    steps = range(-reach, reach + 1)
+    for offset in itertools.product(steps, repeat=dimensions):
+        yield np.array(offset[::-1], np.float32)[:, None]
+
+
+def measured(difference: np.ndarray, metric: str, exponent: np.ndarray) -> np.ndarray:
+    """Lengths (n,) of vectors (D, n) by a metric: EUCLIDEAN, MANHATTAN, CHEBYCHEV or MINKOWSKI with an exponent."""
+    if len(difference) == 1:
+        return np.abs(difference[0])
+    if metric == "EUCLIDEAN":
+        return np.sqrt(_squared(difference))
+    size = np.abs(difference)
+    if metric == "MANHATTAN":
+        return size.sum(axis=0)
+    if metric == "CHEBYCHEV":
+        return size.max(axis=0)
+    return np.power(np.power(size, exponent).sum(axis=0), 1 / exponent)
+
+
+def _squared(difference: np.ndarray) -> np.ndarray:
+    total = difference[0] * difference[0]
+    for row in difference[1:]:
+        total += row * row
+    return total
+
+
+def _cell_of(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The cell (D, n) float32 that holds each point, and the point within it."""
+    cell = np.floor(p)
+    return np.clip(np.nan_to_num(cell), -LIMIT, LIMIT), p - cell
+
+
+def _nearest(p: np.ndarray, s: Settings) -> Found:
+    """Distance, colour and position of the nearest point, or the second-nearest where the feature is F2."""
+    cell, local = _cell_of(p)
+    count = 2 if s.feature == "F2" else 1
+    distance = [np.full(p.shape[1], np.inf, np.float32) for _ in range(count)]
+    offset = [np.zeros(p.shape, np.float32) for _ in range(count)]
+    point = [np.zeros(p.shape, np.float32) for _ in range(count)]
+    for step in neighbours(len(p)):
+        at = step + cell_point(cell + step) * s.randomness
+        away = measured(at - local, s.metric, s.exponent)
+        if s.feature == "F2":
+            nearer, second = away < distance[0], away < distance[1]
+            for known, value in ((distance, away), (offset, step), (point, at)):
+                known[1] = np.where(nearer, known[0], np.where(second, value, known[1]))
+                known[0] = np.where(nearer, value, known[0])
+        else:
+            nearer = away < distance[0]
+            distance[0] = np.minimum(distance[0], away)
+            offset[0] = np.where(nearer, step, offset[0])
+            point[0] = np.where(nearer, at, point[0])
+    return distance[-1], cell_color(cell + offset[-1]), point[-1] + cell
+
+
+def _smooth_nearest(p: np.ndarray, s: Settings) -> Found:
+    """Distance, colour and position blended near the borders of cells by smooth minima (Quilez)."""
+    cell, local = _cell_of(p)
+    distance, color, point = np.zeros(p.shape[1], np.float32), np.zeros((3, 1), np.float32), np.zeros((len(p), 1), np.float32)
+    first = True
+    half, one, zero = np.float32(0.5), np.float32(1), np.float32(0)
+    for step in neighbours(len(p), reach=2):
+        at = step + cell_point(cell + step) * s.randomness
+        away = measured(at - local, s.metric, s.exponent)
+        share = one if first else smooth_step(zero, one, half + half * (distance - away) / s.smoothness, 3)
+        first = False
+        correction = s.smoothness * share * (1 - share)
+        distance = distance + share * (away - distance) - correction
+        correction = correction / (1 + 3 * s.smoothness)
+        color = color + share * (cell_color(cell + step) - color) - correction
+        point = point + share * (at - point) - correction
+    return distance, color, point + cell
+
+
+def _edge_distance(p: np.ndarray, s: Settings) -> np.ndarray:
+    """Euclidean distance (n,) to the nearest border between two points' regions (Quilez)."""
+    cell, local = _cell_of(p)
+    steps = list(neighbours(len(p)))
+    closest, least = np.zeros(p.shape, np.float32), np.full(p.shape[1], np.inf, np.float32)
+    away = [step + cell_point(cell + step) * s.randomness - local for step in steps]
+    for vector in away:
+        square = _squared(vector)
+        closest = np.where(square < least, vector, closest)
+        least = np.minimum(least, square)
+    distance = np.full(p.shape[1], np.inf, np.float32)
+    for vector in away:
+        across = vector - closest
+        square = _squared(across)
+        middle = ((vector + closest) * np.float32(0.5) * across).sum(axis=0) / np.sqrt(square)
+        distance = np.where(square > np.float32(EDGE), np.minimum(distance, middle), distance)
+    return distance
+
+
+def _sphere_radius(p: np.ndarray, s: Settings) -> np.ndarray:
+    """Half the distance (n,) between the nearest point and the one that is nearest to it."""
+    cell, local = _cell_of(p)
+    nearest, least, at_cell = np.zeros(p.shape, np.float32), np.full(p.shape[1], np.inf, np.float32), np.zeros(p.shape, np.float32)
+    for step in neighbours(len(p)):
+        at = step + cell_point(cell + step) * s.randomness
+        square = _squared(at - local)
+        nearer = square < least
+        nearest, at_cell = np.where(nearer, at, nearest), np.where(nearer, step, at_cell)
+        least = np.minimum(least, square)
+    least = np.full(p.shape[1], np.inf, np.float32)
+    for step in neighbours(len(p)):
+        if step.any():
+            at = step + at_cell + cell_point(cell + at_cell + step) * s.randomness
+            least = np.minimum(least, _squared(at - nearest))
+    return np.sqrt(least) / 2
+
+
+@record
+class Voronoi(Expression):
+    """Distance or radius, colour, position and W of the Voronoi texture, (N, 8), in this order.
+
+    feature: F1, F2, SMOOTH_F1, DISTANCE_TO_EDGE (distance alone) or N_SPHERE_RADIUS (radius alone). metric: see
+    `measured`. normalize: distances are divided by the largest possible one. Octaves of F1, F2 and SMOOTH_F1 add up,
+    of DISTANCE_TO_EDGE the least counts; the radius has one.
+    """
+
+    vector: Expression
+    w: Expression
+    scale: Expression
+    detail: Expression
+    roughness: Expression
+    lacunarity: Expression
+    smoothness: Expression
+    exponent: Expression
+    randomness: Expression
+    dimensions: int = 3
+    feature: str = "F1"
+    metric: str = "EUCLIDEAN"
+    normalize: bool = False
+
+    def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
+        alone = self.feature in ("DISTANCE_TO_EDGE", "N_SPHERE_RADIUS")
+        return by_columns(self._columns, 1 if alone else 8, *values)
+
+    def _columns(self, vector: np.ndarray, w: np.ndarray, scale: np.ndarray, *rest: np.ndarray) -> tuple[np.ndarray, ...]:
+        detail, roughness, lacunarity, smoothness, exponent, randomness = (a[0] for a in rest)
+        p = texture_points(vector, w, self.dimensions) * scale
+        settings = Settings(
+            self.feature,
+            self.metric,
+            exponent,
+            np.clip(smoothness / 2, 0, np.float32(0.5)),
+            np.clip(randomness, 0, 1),
+        )
+        if self.feature == "N_SPHERE_RADIUS":
+            return (_sphere_radius(p, settings),)
+        detail, roughness = np.clip(detail, 0, np.float32(MOST_DETAIL)), np.clip(roughness, 0, 1)
+        detail = np.where(roughness == 0, np.float32(0), detail)
+        if self.feature == "DISTANCE_TO_EDGE":
+            return (self._edge_octaves(p, settings, detail, roughness, lacunarity),)
+        distance, color, position = self._octaves(p, settings, detail, roughness, lacunarity)
+        position = np.where(scale != 0, position / np.where(scale != 0, scale, 1), 0)
+        d = self.dimensions
+        zero = np.zeros(1, np.float32)
+        xyz = [position[k] if k < d and d > 1 else zero for k in range(3)]
+        return distance, *color, *xyz, position[-1] if d in (1, 4) else zero
+
+    def _octaves(
+        self, p: np.ndarray, s: Settings, detail: np.ndarray, roughness: np.ndarray, lacunarity: np.ndarray
+    ) -> Found:
+        scale = amplitude = np.ones(1, np.float32)
+        largest = distance = np.zeros(1, np.float32)
+        color, position = np.zeros((3, 1), np.float32), np.zeros((len(p), 1), np.float32)
+        smooth = self.feature == "SMOOTH_F1"
+        for octave in range(1 + int(np.ceil(detail.max(initial=0)))):
+            share = np.clip(detail - (octave - 1), 0, 1) if octave else np.ones(1, np.float32)
+            found = _smooth_nearest(p * scale, s) if smooth and s.smoothness.any() else _nearest(p * scale, s)
+            largest = largest + share * amplitude
+            distance = distance + share * (found[0] * amplitude)
+            color = color + share * (found[1] * amplitude)
+            position = position + share * amplitude * (found[2] / scale - position)
+            scale = scale * lacunarity
+            amplitude = amplitude * roughness
+        if self.normalize:
+            distance = distance / (largest * self._largest(s))
+            color = color / largest
+        return distance, color, position
+
+    def _largest(self, s: Settings) -> np.ndarray:
+        """The largest distance that the feature can have."""
+        half = np.float32(0.5)
+        if self.feature == "DISTANCE_TO_EDGE":
+            return half + half * s.randomness
+        corner = np.broadcast_to(half + half * s.randomness, (self.dimensions, len(s.randomness)))
+        return measured(corner, self.metric, s.exponent) * (2 if self.feature == "F2" else 1)
+
+    def _edge_octaves(
+        self, p: np.ndarray, s: Settings, detail: np.ndarray, roughness: np.ndarray, lacunarity: np.ndarray
+    ) -> np.ndarray:
+        scale = amplitude = np.ones(1, np.float32)
+        most = largest = self._largest(s)
+        distance = None
+        for octave in range(1 + int(np.ceil(detail.max(initial=0)))):
+            share = np.clip(detail - (octave - 1), 0, 1) if octave else np.ones(1, np.float32)
+            found = _edge_distance(p * scale, s)
+            if distance is None:
+                distance = found
+            else:
+                least = distance + amplitude * (np.minimum(distance, found / scale) - distance)
+                distance = distance + share * (np.minimum(distance, least) - distance)
+                largest = largest + share * amplitude * (most / scale - largest)
+            scale = scale * lacunarity
+            amplitude = amplitude * roughness
+        assert distance is not None
+        return distance / largest if self.normalize else distance
