@@ -30,7 +30,8 @@ def _shift(seed: float, dimensions: int) -> np.ndarray:
     """(dimensions, 1) float32 in [100, 200]: where noise of another seed is read."""
     values = [seed] if dimensions == 1 else range(dimensions)
     hashes = [hash_floats(v) if dimensions == 1 else hash_floats(seed, v) for v in values]
-    return np.array([np.float32(100) + h * np.float32(100) for h in hashes], np.float32).reshape(-1, 1)
+    # Rounded once, as by fused multiplication and addition
+    return np.array([100 + 100 * float(h.item()) for h in map(np.asarray, hashes)], np.float32).reshape(-1, 1)
 
 
 @record

@@ -23,7 +23,7 @@ def _off_borders(p: np.ndarray) -> np.ndarray:
 
 @record
 class Checker(Expression):
-    """The checker's factor (N, 1): 1 in cells whose coordinates have an even sum, else 0."""
+    """The checker's factor (N, 1): 1 in cells whose coordinates have an odd sum, else 0."""
 
     vector: Expression
     scale: Expression
@@ -34,7 +34,7 @@ class Checker(Expression):
 
 def _checker(vector: np.ndarray, scale: np.ndarray) -> np.ndarray:
     cell = np.floor(_off_borders(vector * scale))
-    return 1 - np.abs(np.fmod(cell, 2)).sum(axis=0, keepdims=True) % 2
+    return np.fmod(np.abs(np.fmod(cell, 2)).sum(axis=0, keepdims=True), 2)
 
 
 @record
@@ -178,7 +178,7 @@ class Brick(Expression):
     height: Expression
     offset: float = 0.5  # of every `offset_frequency`th row, in widths
     offset_frequency: int = 2
-    squash: float = 1.0  # factor of the widths of all but every `squash_frequency`th row's
+    squash: float = 1.0  # factor of the widths of every `squash_frequency`th row
     squash_frequency: int = 2
 
     def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:

@@ -28,6 +28,7 @@ class Settings:
     exponent: np.ndarray
     smoothness: np.ndarray
     randomness: np.ndarray
+    congruential: bool
 
 
 Found = tuple[np.ndarray, np.ndarray, np.ndarray]  # distance (n,), colour (3, n), position (D, n)
@@ -75,7 +76,7 @@ def _nearest(p: np.ndarray, s: Settings) -> Found:
     offset = [np.zeros(p.shape, np.float32) for _ in range(count)]
     point = [np.zeros(p.shape, np.float32) for _ in range(count)]
     for step in neighbours(len(p)):
-        at = step + cell_point(cell + step) * s.randomness
+        at = step + cell_point(cell + step, s.congruential) * s.randomness
         away = measured(at - local, s.metric, s.exponent)
         if s.feature == "F2":
             nearer, second = away < distance[0], away < distance[1]
@@ -87,7 +88,7 @@ def _nearest(p: np.ndarray, s: Settings) -> Found:
             distance[0] = np.minimum(distance[0], away)
             offset[0] = np.where(nearer, step, offset[0])
             point[0] = np.where(nearer, at, point[0])
-    return distance[-1], cell_color(cell + offset[-1]), point[-1] + cell
+    return distance[-1], cell_color(cell + offset[-1], s.congruential), point[-1] + cell
 
 
 def _smooth_nearest(p: np.ndarray, s: Settings) -> Found:
@@ -97,14 +98,14 @@ def _smooth_nearest(p: np.ndarray, s: Settings) -> Found:
     first = True
     half, one, zero = np.float32(0.5), np.float32(1), np.float32(0)
     for step in neighbours(len(p), reach=2):
-        at = step + cell_point(cell + step) * s.randomness
+        at = step + cell_point(cell + step, s.congruential) * s.randomness
         away = measured(at - local, s.metric, s.exponent)
         share = one if first else smooth_step(zero, one, half + half * (distance - away) / s.smoothness, 3)
         first = False
         correction = s.smoothness * share * (1 - share)
         distance = distance + share * (away - distance) - correction
         correction = correction / (1 + 3 * s.smoothness)
-        color = color + share * (cell_color(cell + step) - color) - correction
+        color = color + share * (cell_color(cell + step, s.congruential) - color) - correction
         point = point + share * (at - point) - correction
     return distance, color, point + cell
 
@@ -114,7 +115,7 @@ def _edge_distance(p: np.ndarray, s: Settings) -> np.ndarray:
     cell, local = _cell_of(p)
     steps = list(neighbours(len(p)))
     closest, least = np.zeros(p.shape, np.float32), np.full(p.shape[1], np.inf, np.float32)
-    away = [step + cell_point(cell + step) * s.randomness - local for step in steps]
+    away = [step + cell_point(cell + step, s.congruential) * s.randomness - local for step in steps]
     for vector in away:
         square = _squared(vector)
         closest = np.where(square < least, vector, closest)
@@ -133,7 +134,7 @@ def _sphere_radius(p: np.ndarray, s: Settings) -> np.ndarray:
     cell, local = _cell_of(p)
     nearest, least, at_cell = np.zeros(p.shape, np.float32), np.full(p.shape[1], np.inf, np.float32), np.zeros(p.shape, np.float32)
     for step in neighbours(len(p)):
-        at = step + cell_point(cell + step) * s.randomness
+        at = step + cell_point(cell + step, s.congruential) * s.randomness
         square = _squared(at - local)
         nearer = square < least
         nearest, at_cell = np.where(nearer, at, nearest), np.where(nearer, step, at_cell)
@@ -141,7 +142,7 @@ def _sphere_radius(p: np.ndarray, s: Settings) -> np.ndarray:
     least = np.full(p.shape[1], np.inf, np.float32)
     for step in neighbours(len(p)):
         if step.any():
-            at = step + at_cell + cell_point(cell + at_cell + step) * s.randomness
+            at = step + at_cell + cell_point(cell + at_cell + step, s.congruential) * s.randomness
             least = np.minimum(least, _squared(at - nearest))
     return np.sqrt(least) / 2
 
@@ -168,6 +169,7 @@ class Voronoi(Expression):
     feature: str = "F1"
     metric: str = "EUCLIDEAN"
     normalize: bool = False
+    congruential: bool = True  # the cells' hash: that of Blender 5, else of Blender 4
 
     def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
         alone = self.feature in ("DISTANCE_TO_EDGE", "N_SPHERE_RADIUS")
@@ -182,6 +184,7 @@ class Voronoi(Expression):
             exponent,
             np.clip(smoothness / 2, 0, np.float32(0.5)),
             np.clip(randomness, 0, 1),
+            self.congruential,
         )
         if self.feature == "N_SPHERE_RADIUS":
             return (_sphere_radius(p, settings),)

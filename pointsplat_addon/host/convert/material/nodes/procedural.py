@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import bpy
+
 from .....core.material.expression import Expression
 from .....core.material.nodes import color_nodes, input_nodes
 from .....core.material.nodes.procedural import noise, patterns, voronoi
@@ -43,7 +45,13 @@ def _voronoi(node: NodeReader) -> Outputs:
     names = ("W", "Scale", "Detail", "Roughness", "Lacunarity", "Smoothness", "Exponent", "Randomness")
     texture = node.node
     value = voronoi.Voronoi(
-        vector, *(node[name] for name in names), dimensions, texture.feature, texture.distance, texture.normalize
+        vector,
+        *(node[name] for name in names),
+        dimensions,
+        texture.feature,
+        texture.distance,
+        texture.normalize,
+        congruential=bpy.app.version >= (5, 0, 0),
     )
     first = color_nodes.Component(value, 0)
     if texture.feature in ("DISTANCE_TO_EDGE", "N_SPHERE_RADIUS"):
