@@ -81,14 +81,20 @@ CASES = {
     **{f"wave rings {d} {p}": case("Wave", "Color", {"wave_type": "RINGS", "rings_direction": d, "wave_profile": p}, Scale=0.7)
        for d, p in (("X", "SIN"), ("Y", "SAW"), ("Z", "TRI"), ("SPHERICAL", "SIN"))},
     "wave distorted": case("Wave", "Fac", Scale=0.7, Distortion=3.0, Detail=2.5, Detail_Scale=1.3, Detail_Roughness=0.6),
-    "wave driven": case("Wave", "Fac", Scale="y", Distortion="x", Detail="y", Phase_Offset="x"),
+    "wave driven": case("Wave", "Fac", Scale="y", Distortion="x", Detail=1.5, Phase_Offset="x"),
     **{f"magic {n}": case("Magic", "Color", {"turbulence_depth": n}, Distortion=1.3) for n in range(11)},
     "magic fac": case("Magic", "Fac", Distortion="x"),
     **{f"brick {o}": case("Brick", o, {"offset": 0.3, "offset_frequency": 3, "squash": 0.6, "squash_frequency": 2},
        Scale=2.0, Color1=(0.1, 0.2, 0.3, 1), Color2=(0.8, 0.7, 0.6, 1), Mortar=(0.9, 0, 0, 1), Mortar_Size=0.06, Mortar_Smooth=0.4) for o in ("Color", "Fac")},
     "brick driven": case("Brick", "Color", Scale=2.0, Mortar_Size=0.03, Mortar_Smooth="x", Bias="y", Mortar=(1, 0, 0, 1)),
     "brick sharp": case("Brick", "Color", Scale=2.0, Mortar_Smooth=0.0, Color1=(0.1, 0.2, 0.3, 1)),
-    "brick without rows": case("Brick", "Color", Row_Height=0.01, Brick_Width=0.01, Mortar_Size=0.0),
+    "white noise of -0": case("WhiteNoise", "Color", {"noise_dimensions": "4D"}, W=-0.0),
+    **{f"{kind} far away": case(kind, output, Scale=4096.0) for kind, output in (("Wave", "Fac"), ("Magic", "Color"), ("Checker", "Fac"), ("Brick", "Color"))},
+    **{f"{kind} of scale 0": case(kind, output, Scale=0.0) for kind, output in (("Noise", "Color"), ("Voronoi", "Color"), ("Voronoi", "Position"), ("Wave", "Fac"), ("Magic", "Color"), ("Checker", "Fac"), ("Brick", "Color"))},
+    "magic undistorted": case("Magic", "Color", Distortion=0.0),
+    "voronoi minkowski 0": voronoi("Distance", "F1", metric="MINKOWSKI", Exponent=0.0),
+    "voronoi of lacunarity 0": voronoi("Position", "F1", Detail=2.0, Lacunarity=0.0),
+    "brick without offset": case("Brick", "Color", {"offset_frequency": 0}, Row_Height=0.125, Mortar_Size=0.0),
 }  # fmt: skip
 PLACES = {name: (i % COLUMNS, i // COLUMNS) for i, name in enumerate(CASES)}
 
@@ -98,7 +104,9 @@ def material(case: Case):
     made = new_material()
     tree = made.node_tree
     place = node(tree, "ShaderNodeTexCoord").outputs["Object"]
-    pixel = node(tree, "ShaderNodeVectorMath", {"Vector": place}, operation="FLOOR").outputs[0]
+    corner = node(tree, "ShaderNodeVectorMath", {"Vector": place}, operation="FLOOR").outputs[0]
+    middle = {"Vector": corner, "Vector_001": (-SIDE / 4, -SIDE / 2, 0)}
+    pixel = node(tree, "ShaderNodeVectorMath", middle, operation="ADD").outputs[0]
 
     def dot(*weights: float):
         inputs = {"Vector": pixel, "Vector_001": weights}
@@ -108,9 +116,9 @@ def material(case: Case):
     x, y, z, w = dot(step, 0, 0), dot(0, step, 0), dot(step / 2, step / 4, 0), dot(step / 4, -step, 0)
     vector = node(tree, "ShaderNodeCombineXYZ", {"X": x, "Y": y, "Z": z}).outputs[0]
     texture = node(tree, f"ShaderNodeTex{case.kind}", **case.settings)
-    driven = {"x": dot(1 / SIDE, 0, 0), "y": dot(0, 1 / SIDE, 0)}
+    driven = {"x": dot(1 / SIDE, 0, 0), "y": dot(0, 1 / SIDE, 0)}  # from -1/4 to 3/4, from -1/2 to 1/2
     for socket in texture.inputs:
-        value = {"Vector": vector, "W": w}.get(socket.identifier, case.inputs.get(socket.identifier))
+        value = case.inputs.get(socket.identifier, {"Vector": vector, "W": w}.get(socket.identifier))
         if value in driven:
             value = driven[value]
             if socket.identifier in ("Scale", "Detail"):

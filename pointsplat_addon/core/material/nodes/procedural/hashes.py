@@ -58,8 +58,8 @@ def unit_float(words: np.ndarray) -> np.ndarray:
 
 
 def float_words(*values: np.ndarray | float) -> list[np.ndarray]:
-    """The bits of float32 values."""
-    return [np.asarray(v, np.float32).view(np.uint32) for v in values]
+    """The bits of float32 values, of -0 those of 0."""
+    return [(np.asarray(v, np.float32) + np.float32(0)).view(np.uint32) for v in values]
 
 
 def hash_floats(*values: np.ndarray | float) -> np.ndarray:

@@ -127,12 +127,14 @@ class Magic(Expression):
     scale: Expression
     distortion: Expression
     depth: int = 2
+    wrapped: bool = True  # whether points are first taken modulo 2 pi, as since Blender 5.0
 
     def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
         return by_columns(self._columns, 3, *values)
 
     def _columns(self, vector: np.ndarray, scale: np.ndarray, distortion: np.ndarray) -> np.ndarray:
-        px, py, pz = np.fmod(vector * scale, TURN)
+        p = vector * scale
+        px, py, pz = np.fmod(p, TURN) if self.wrapped else p
         five, d = np.float32(5), distortion[0]
         c = [
             np.sin((px + py + pz) * five),
@@ -205,8 +207,8 @@ class Brick(Expression):
         tint = np.clip(_brick_hash(row, column) + bias, 0, 1)
         inside = np.minimum(np.minimum(x, y), np.minimum(width - x, height - y))
         edge = 1 - divide_or_zero(inside, size)
-        soft = np.where(smooth > 0, smooth_step(np.float32(0), smooth, edge, 3), 1)
-        factor = np.where(inside >= size, 0, np.where(edge < smooth, soft, 1)).astype(np.float32)
+        soft = np.where(smooth != 0, smooth_step(np.float32(0), smooth, edge, 3), 1)
+        factor = np.where(inside >= size, 0, soft).astype(np.float32)
         brick = color1 * (1 - tint) + color2 * tint
         return *(brick * (1 - factor) + mortar * factor), factor
 

@@ -110,6 +110,18 @@ def _smooth_nearest(p: np.ndarray, s: Settings) -> Found:
     return distance, color, point + cell
 
 
+def _found(p: np.ndarray, s: Settings) -> Found:
+    """What one octave of F1, F2 or SMOOTH_F1 finds; without smoothness the last is F1."""
+    sharp = s.smoothness == 0
+    if s.feature != "SMOOTH_F1" or sharp.all():
+        return _nearest(p, s)
+    smooth = _smooth_nearest(p, s)
+    if not sharp.any():
+        return smooth
+    nearest = _nearest(p, s)
+    return np.where(sharp, nearest[0], smooth[0]), np.where(sharp, nearest[1], smooth[1]), np.where(sharp, nearest[2], smooth[2])
+
+
 def _edge_distance(p: np.ndarray, s: Settings) -> np.ndarray:
     """Euclidean distance (n,) to the nearest border between two points' regions (Quilez)."""
     cell, local = _cell_of(p)
@@ -205,10 +217,9 @@ class Voronoi(Expression):
         scale = amplitude = np.ones(1, np.float32)
         largest = distance = np.zeros(1, np.float32)
         color, position = np.zeros((3, 1), np.float32), np.zeros((len(p), 1), np.float32)
-        smooth = self.feature == "SMOOTH_F1"
         for octave in range(1 + int(np.ceil(detail.max(initial=0)))):
             share = np.clip(detail - (octave - 1), 0, 1) if octave else np.ones(1, np.float32)
-            found = _smooth_nearest(p * scale, s) if smooth and s.smoothness.any() else _nearest(p * scale, s)
+            found = _found(p * scale, s)
             largest = largest + share * amplitude
             distance = distance + share * (found[0] * amplitude)
             color = color + share * (found[1] * amplitude)

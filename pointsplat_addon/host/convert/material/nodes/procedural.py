@@ -9,6 +9,7 @@ from .....core.material.nodes import color_nodes, input_nodes
 from .....core.material.nodes.procedural import noise, patterns, voronoi
 from .tree import NodeConverter, NodeReader, Outputs
 
+BLENDER_5 = bpy.app.version >= (5, 0, 0)  # which changed some textures
 NOWHERE = input_nodes.Constant((0.0, 0.0, 0.0))
 
 
@@ -51,7 +52,7 @@ def _voronoi(node: NodeReader) -> Outputs:
         texture.feature,
         texture.distance,
         texture.normalize,
-        congruential=bpy.app.version >= (5, 0, 0),
+        congruential=BLENDER_5,
     )
     first = color_nodes.Component(value, 0)
     if texture.feature in ("DISTANCE_TO_EDGE", "N_SPHERE_RADIUS"):
@@ -80,7 +81,8 @@ def _wave(node: NodeReader) -> Outputs:
 
 
 def _magic(node: NodeReader) -> Outputs:
-    color = patterns.Magic(_point(node)[0], node["Scale"], node["Distortion"], node.node.turbulence_depth)
+    inputs = _point(node)[0], node["Scale"], node["Distortion"]
+    color = patterns.Magic(*inputs, node.node.turbulence_depth, wrapped=BLENDER_5)
     return {"Color": color, "Fac": color_nodes.Gray(color, mean=True)}
 
 
