@@ -8,7 +8,7 @@ import numpy as np
 
 from ....numeric.vectors import each_block
 
-BLOCK = 1 << 12  # samples: words of all corners of a lattice's cell stay in the processor's cache
+BLOCK = 1 << 13  # samples: words of all corners of a lattice's cell stay in the processor's cache
 
 
 def by_columns(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from functools import lru_cache
 
 import numpy as np
 
@@ -11,12 +11,11 @@ from ....numeric.record import record
 from ...expression import Expression, SampleInputs
 from ..math_functions import smooth_step
 from .blocks import by_columns
-from .cells import cell_color, cell_point
+from .cells import Cells
 from .fractals import MOST_DETAIL
 from .noise import texture_points
 
 EDGE = 0.0001  # square of the distance between two points that have an edge between them
-LIMIT = np.float32(2.0**30)  # of lattice coordinates
 
 
 @record
@@ -34,11 +33,16 @@ class Settings:
 Found = tuple[np.ndarray, np.ndarray, np.ndarray]  # distance (n,), colour (3, n), position (D, n)
 
 
-def neighbours(dimensions: int, reach: int = 1) -> Iterator[np.ndarray]:
-    """Yields the offsets (dimensions, 1) float32 of a cell's neighbours, x the fastest."""
-    steps = range(-reach, reach + 1)
-    for offset in itertools.product(steps, repeat=dimensions):
-        yield np.array(offset[::-1], np.float32)[:, None]
+@lru_cache
+def neighbours(dimensions: int, reach: int = 1) -> np.ndarray:
+    """The steps (K, dimensions, 1) float32 to a cell's neighbours and itself, x the fastest."""
+    steps = itertools.product(range(-reach, reach + 1), repeat=dimensions)
+    return np.array([step[::-1] for step in steps], np.float32)[:, :, None]
+
+
+def steps_to(index: np.ndarray, dimensions: int) -> np.ndarray:
+    """Steps (dimensions, n) float32 by the indices (n,) uint8 of neighbours."""
+    return np.ascontiguousarray(neighbours(dimensions)[:, :, 0].T).take(index, axis=1)
 
 
 def measured(difference: np.ndarray, metric: str, exponent: np.ndarray) -> np.ndarray:
@@ -62,52 +66,54 @@ def _squared(difference: np.ndarray) -> np.ndarray:
     return total
 
 
-def _cell_of(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The cell (D, n) float32 that holds each point, and the point within it."""
-    cell = np.floor(p)
-    return np.clip(np.nan_to_num(cell), -LIMIT, LIMIT), p - cell
+def _pick(condition: np.ndarray, a: np.ndarray | np.uint8, b: np.ndarray) -> np.ndarray:
+    """a where the condition holds, else b, of indices (n,) uint8: without a branch, many times as fast as np.where."""
+    return b + condition.view(np.uint8) * (a - b)
 
 
 def _nearest(p: np.ndarray, s: Settings) -> Found:
-    """Distance, colour and position of the nearest point, or the second-nearest where the feature is F2."""
-    cell, local = _cell_of(p)
-    count = 2 if s.feature == "F2" else 1
-    distance = [np.full(p.shape[1], np.inf, np.float32) for _ in range(count)]
-    offset = [np.zeros(p.shape, np.float32) for _ in range(count)]
-    point = [np.zeros(p.shape, np.float32) for _ in range(count)]
-    for step in neighbours(len(p)):
-        at = step + cell_point(cell + step, s.congruential) * s.randomness
-        away = measured(at - local, s.metric, s.exponent)
+    """Distance, colour and position of the nearest point, or of the second where the feature is F2."""
+    cells, dimensions = Cells(p, s.congruential), len(p)
+    distance = second = np.full(p.shape[1], np.inf, np.float32)
+    index = second_index = np.zeros(p.shape[1], np.uint8)
+    for number, step in enumerate(neighbours(dimensions)):
+        away = measured(_points(cells, step, s) - cells.local, s.metric, s.exponent)
+        nearer = away < distance
         if s.feature == "F2":
-            nearer, second = away < distance[0], away < distance[1]
-            for known, value in ((distance, away), (offset, step), (point, at)):
-                known[1] = np.where(nearer, known[0], np.where(second, value, known[1]))
-                known[0] = np.where(nearer, value, known[0])
-        else:
-            nearer = away < distance[0]
-            distance[0] = np.minimum(distance[0], away)
-            offset[0] = np.where(nearer, step, offset[0])
-            point[0] = np.where(nearer, at, point[0])
-    return distance[-1], cell_color(cell + offset[-1], s.congruential), point[-1] + cell
+            second_index = _pick(nearer, index, _pick(away < second, np.uint8(number), second_index))
+            second = np.minimum(second, np.maximum(distance, away))
+        index = _pick(nearer, np.uint8(number), index)
+        distance = np.minimum(distance, away)
+    if s.feature == "F2":
+        distance, index = second, second_index
+    step = steps_to(index, dimensions)
+    return distance, cells.colors(step), _points(cells, step, s) + cells.cell
+
+
+def _points(cells: Cells, step: np.ndarray, s: Settings) -> np.ndarray:
+    """The points (D, n) of cells a step away, from the corner of the cell in the middle."""
+    return step + cells.points(step) * s.randomness
 
 
 def _smooth_nearest(p: np.ndarray, s: Settings) -> Found:
     """Distance, colour and position blended near the borders of cells by smooth minima (Quilez)."""
-    cell, local = _cell_of(p)
-    distance, color, point = np.zeros(p.shape[1], np.float32), np.zeros((3, 1), np.float32), np.zeros((len(p), 1), np.float32)
-    first = True
-    half, one, zero = np.float32(0.5), np.float32(1), np.float32(0)
-    for step in neighbours(len(p), reach=2):
-        at = step + cell_point(cell + step, s.congruential) * s.randomness
-        away = measured(at - local, s.metric, s.exponent)
-        share = one if first else smooth_step(zero, one, half + half * (distance - away) / s.smoothness, 3)
-        first = False
+    cells = Cells(p, s.congruential)
+    distance = np.zeros(1, np.float32)
+    color, point = np.zeros((3, 1), np.float32), np.zeros((len(p), 1), np.float32)
+    zero, half, one = np.float32(0), np.float32(0.5), np.ones(1, np.float32)
+    for number, step in enumerate(neighbours(len(p), reach=2)):
+        random = cells.points(step)
+        at = step + random * s.randomness
+        away = measured(at - cells.local, s.metric, s.exponent)
+        share = smooth_step(zero, one, half + half * (distance - away) / s.smoothness, 3) if number else one
+        if not share.any():
+            continue
         correction = s.smoothness * share * (1 - share)
         distance = distance + share * (away - distance) - correction
         correction = correction / (1 + 3 * s.smoothness)
-        color = color + share * (cell_color(cell + step, s.congruential) - color) - correction
+        color = color + share * (cells.known_colors(step, random) - color) - correction
         point = point + share * (at - point) - correction
-    return distance, color, point + cell
+    return distance, color, point + cells.cell
 
 
 def _found(p: np.ndarray, s: Settings) -> Found:
@@ -118,22 +124,29 @@ def _found(p: np.ndarray, s: Settings) -> Found:
     smooth = _smooth_nearest(p, s)
     if not sharp.any():
         return smooth
-    nearest = _nearest(p, s)
-    return np.where(sharp, nearest[0], smooth[0]), np.where(sharp, nearest[1], smooth[1]), np.where(sharp, nearest[2], smooth[2])
+    distance, color, position = (np.where(sharp, a, b) for a, b in zip(_nearest(p, s), smooth, strict=True))
+    return distance, color, position
+
+
+def _closest(cells: Cells, s: Settings) -> tuple[np.ndarray, np.ndarray]:
+    """The nearest points (D, n), from their middle cells' corners, and the steps (D, n) to their cells: Euclidean."""
+    least = np.full(cells.local.shape[1], np.inf, np.float32)
+    index = np.zeros(len(least), np.uint8)
+    for number, step in enumerate(neighbours(len(cells.local))):
+        square = _squared(_points(cells, step, s) - cells.local)
+        index = _pick(square < least, np.uint8(number), index)
+        least = np.minimum(least, square)
+    step = steps_to(index, len(cells.local))
+    return _points(cells, step, s), step
 
 
 def _edge_distance(p: np.ndarray, s: Settings) -> np.ndarray:
     """Euclidean distance (n,) to the nearest border between two points' regions (Quilez)."""
-    cell, local = _cell_of(p)
-    steps = list(neighbours(len(p)))
-    closest, least = np.zeros(p.shape, np.float32), np.full(p.shape[1], np.inf, np.float32)
-    away = [step + cell_point(cell + step, s.congruential) * s.randomness - local for step in steps]
-    for vector in away:
-        square = _squared(vector)
-        closest = np.where(square < least, vector, closest)
-        least = np.minimum(least, square)
-    distance = np.full(p.shape[1], np.inf, np.float32)
-    for vector in away:
+    cells = Cells(p, s.congruential)
+    closest = _closest(cells, s)[0] - cells.local
+    distance = np.full(1, np.inf, np.float32)
+    for step in neighbours(len(p)):
+        vector = _points(cells, step, s) - cells.local
         across = vector - closest
         square = _squared(across)
         middle = ((vector + closest) * np.float32(0.5) * across).sum(axis=0) / np.sqrt(square)
@@ -143,19 +156,12 @@ def _edge_distance(p: np.ndarray, s: Settings) -> np.ndarray:
 
 def _sphere_radius(p: np.ndarray, s: Settings) -> np.ndarray:
     """Half the distance (n,) between the nearest point and the one that is nearest to it."""
-    cell, local = _cell_of(p)
-    nearest, least, at_cell = np.zeros(p.shape, np.float32), np.full(p.shape[1], np.inf, np.float32), np.zeros(p.shape, np.float32)
-    for step in neighbours(len(p)):
-        at = step + cell_point(cell + step, s.congruential) * s.randomness
-        square = _squared(at - local)
-        nearer = square < least
-        nearest, at_cell = np.where(nearer, at, nearest), np.where(nearer, step, at_cell)
-        least = np.minimum(least, square)
-    least = np.full(p.shape[1], np.inf, np.float32)
+    cells = Cells(p, s.congruential)
+    nearest, at_cell = _closest(cells, s)
+    least = np.full(1, np.inf, np.float32)
     for step in neighbours(len(p)):
         if step.any():
-            at = step + at_cell + cell_point(cell + at_cell + step, s.congruential) * s.randomness
-            least = np.minimum(least, _squared(at - nearest))
+            least = np.minimum(least, _squared(_points(cells, at_cell + step, s) - nearest))
     return np.sqrt(least) / 2
 
 
