@@ -16,8 +16,8 @@ def by_columns(
 ) -> np.ndarray:
     """(N, components) float32 by a function of columns.
 
-    values: (N | 1, C) each. work: takes them as contiguous (C, n | 1) float32 of some samples, and returns what
-    broadcasts to (components, n), or a tuple of rows. What is not finite becomes 0.
+    values: (N | 1, C) each. work: takes them as contiguous (C, n | 1) float32 of some samples, and returns as many
+    rows (n,) or (1,) as there are components. What is not finite becomes 0.
     """
     count = max(len(v) for v in values)
     out = np.empty((count, components), np.float32)
@@ -27,7 +27,7 @@ def by_columns(
         with np.errstate(all="ignore"):  # of this thread
             found = work(*(np.ascontiguousarray(v, np.float32) for v in taken))
         rows = out[part].T
-        for row, value in zip(rows, found if isinstance(found, tuple) else np.broadcast_to(found, rows.shape)):
+        for row, value in zip(rows, found, strict=True):
             row[:] = value
         if not np.isfinite(rows).all():
             rows[~np.isfinite(rows)] = 0

@@ -45,7 +45,9 @@ def lookup3(words: Words) -> np.ndarray:
     It costs least where the first word has the fewest values in common: what depends on the others alone is shared.
     """
     start = np.uint32((SEED + (len(words) << 2) + 13) & 0xFFFFFFFF)
-    a, b, c = (np.add(w, start, dtype=np.uint32) for w in (*words[:3], *(np.zeros(1, np.uint32),) * (3 - len(words[:3]))))
+    a, b, c = (
+        np.add(w, start, dtype=np.uint32) for w in (*words[:3], *(np.zeros(1, np.uint32),) * (3 - len(words[:3])))
+    )
     if len(words) == 4:
         a, b, c = _mix(a, b, c)
         a = a + words[3]

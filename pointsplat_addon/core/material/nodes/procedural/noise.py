@@ -36,7 +36,7 @@ def _shift(seed: float, dimensions: int) -> np.ndarray:
 
 @record
 class Noise(Expression):
-    """Value and colour of the noise texture, (N, 4): the value, then red, which equals it, green and blue.
+    """Colour of the noise texture, (N, 3), whose red is the value, or (N, 1) the value alone.
 
     `kind` is one of FRACTALS. Vector and W are scaled, then distorted by noise of other seeds.
     """
@@ -53,13 +53,14 @@ class Noise(Expression):
     dimensions: int = 3
     kind: str = "FBM"
     normalize: bool = True
-    colored: bool = True  # whether green and blue are read; else they are 0
+    colored: bool = True  # whether green and blue are read
 
     def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
-        found = by_columns(self._columns, 3 if self.colored else 1, *values)
-        return found
+        return by_columns(self._columns, 3 if self.colored else 1, *values)
 
-    def _columns(self, vector: np.ndarray, w: np.ndarray, scale: np.ndarray, *rest: np.ndarray) -> tuple[np.ndarray, ...]:
+    def _columns(
+        self, vector: np.ndarray, w: np.ndarray, scale: np.ndarray, *rest: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
         detail, roughness, lacunarity, offset, gain, distortion = (a[0] for a in rest)
         d = self.dimensions
         p = texture_points(vector, w, d) * scale

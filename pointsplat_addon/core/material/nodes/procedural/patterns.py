@@ -45,7 +45,7 @@ class Gradient(Expression):
     kind: str = "LINEAR"
 
     def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
-        return by_columns(lambda p: np.clip(GRADIENT[self.kind](*p), 0, 1), 1, *values)
+        return by_columns(lambda p: np.clip(GRADIENT[self.kind](*p), 0, 1)[None], 1, *values)
 
 
 def _ball(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -88,9 +88,9 @@ class Wave(Expression):
     profile: str = "SIN"
 
     def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
-        return by_columns(self._columns, 1, *values)
+        return by_columns(lambda *columns: self._wave(*columns)[None], 1, *values)
 
-    def _columns(self, vector: np.ndarray, scale: np.ndarray, *rest: np.ndarray) -> np.ndarray:
+    def _wave(self, vector: np.ndarray, scale: np.ndarray, *rest: np.ndarray) -> np.ndarray:
         distortion, detail, detail_scale, roughness, phase = (a[0] for a in rest)
         p = _off_borders(vector * scale)
         n = self._way(p) + phase
@@ -207,7 +207,7 @@ class Brick(Expression):
         tint = np.clip(_brick_hash(row, column) + bias, 0, 1)
         inside = np.minimum(np.minimum(x, y), np.minimum(width - x, height - y))
         edge = 1 - divide_or_zero(inside, size)
-        soft = np.where(smooth != 0, smooth_step(np.float32(0), smooth, edge, 3), 1)
+        soft = np.where(smooth != 0, smooth_step(np.zeros(1, np.float32), smooth, edge, 3), 1)
         factor = np.where(inside >= size, 0, soft).astype(np.float32)
         brick = color1 * (1 - tint) + color2 * tint
         return *(brick * (1 - factor) + mortar * factor), factor
@@ -216,7 +216,10 @@ class Brick(Expression):
 def _brick_hash(row: np.ndarray, column: np.ndarray) -> np.ndarray:
     """A pseudo-random float32 in [0, 1] for a brick: Perlin's integer noise of 31 bits (Elias 1998)."""
     low, high = -(2.0**31), 2.0**31 - 1
-    words = [np.nan_to_num(np.clip(a.astype(np.float64), low, high)).astype(np.int64).astype(np.uint32) for a in (row, column)]
+    words = [
+        np.nan_to_num(np.clip(a.astype(np.float64), low, high)).astype(np.int64).astype(np.uint32)
+        for a in (row, column)
+    ]
     n = (words[0] << np.uint32(16)) + (words[1] & np.uint32(0xFFFF))
     n = (n + np.uint32(1013)) & np.uint32(0x7FFFFFFF)
     n = (n >> np.uint32(13)) ^ n

@@ -100,7 +100,7 @@ def _smooth_nearest(p: np.ndarray, s: Settings) -> Found:
     cells = Cells(p, s.congruential)
     distance = np.zeros(1, np.float32)
     color, point = np.zeros((3, 1), np.float32), np.zeros((len(p), 1), np.float32)
-    zero, half, one = np.float32(0), np.float32(0.5), np.ones(1, np.float32)
+    zero, half, one = np.zeros(1, np.float32), np.float32(0.5), np.ones(1, np.float32)
     for number, step in enumerate(neighbours(len(p), reach=2)):
         random = cells.points(step)
         at = step + random * s.randomness
@@ -193,7 +193,9 @@ class Voronoi(Expression):
         alone = self.feature in ("DISTANCE_TO_EDGE", "N_SPHERE_RADIUS")
         return by_columns(self._columns, 1 if alone else 8, *values)
 
-    def _columns(self, vector: np.ndarray, w: np.ndarray, scale: np.ndarray, *rest: np.ndarray) -> tuple[np.ndarray, ...]:
+    def _columns(
+        self, vector: np.ndarray, w: np.ndarray, scale: np.ndarray, *rest: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
         detail, roughness, lacunarity, smoothness, exponent, randomness = (a[0] for a in rest)
         p = texture_points(vector, w, self.dimensions) * scale
         settings = Settings(

@@ -28,9 +28,9 @@ def _noise(node: NodeReader) -> Outputs:
     vector, dimensions = _point(node, node.node.noise_dimensions)
     names = ("W", "Scale", "Detail", "Roughness", "Lacunarity", "Offset", "Gain", "Distortion")
     inputs = (node[name] for name in names)
-    kind = node.node.noise_type
-    colored = node.used("Color")
-    value = noise.Noise(vector, *inputs, dimensions, kind, node.node.normalize, colored)
+    texture, colored = node.node, node.used("Color")
+    settings = {"kind": texture.noise_type, "normalize": texture.normalize, "colored": colored}
+    value = noise.Noise(vector, *inputs, dimensions=dimensions, **settings)
     out: Outputs = {"Fac": color_nodes.Component(value, 0)}
     return out | {"Color": color_nodes.Color(value)} if colored else out
 
@@ -48,10 +48,10 @@ def _voronoi(node: NodeReader) -> Outputs:
     value = voronoi.Voronoi(
         vector,
         *(node[name] for name in names),
-        dimensions,
-        texture.feature,
-        texture.distance,
-        texture.normalize,
+        dimensions=dimensions,
+        feature=texture.feature,
+        metric=texture.distance,
+        normalize=texture.normalize,
         congruential=BLENDER_5,
     )
     first = color_nodes.Component(value, 0)
@@ -76,7 +76,8 @@ def _wave(node: NodeReader) -> Outputs:
     rings = wave.wave_type == "RINGS"
     names = ("Scale", "Distortion", "Detail", "Detail Scale", "Detail Roughness", "Phase Offset")
     direction = wave.rings_direction if rings else wave.bands_direction
-    value = patterns.Wave(_point(node)[0], *(node[n] for n in names), rings, direction, wave.wave_profile)
+    inputs = (node[name] for name in names)
+    value = patterns.Wave(_point(node)[0], *inputs, rings=rings, direction=direction, profile=wave.wave_profile)
     return {"Color": color_nodes.Color(value), "Fac": value}
 
 
@@ -95,10 +96,10 @@ def _brick(node: NodeReader) -> Outputs:
     value = patterns.Brick(
         _point(node)[0],
         *(node[name] for name in names),
-        brick.offset,
-        brick.offset_frequency,
-        brick.squash,
-        brick.squash_frequency,
+        offset=brick.offset,
+        offset_frequency=brick.offset_frequency,
+        squash=brick.squash,
+        squash_frequency=brick.squash_frequency,
     )
     return {"Color": color_nodes.Color(value), "Fac": color_nodes.Component(value, 3)}
 
