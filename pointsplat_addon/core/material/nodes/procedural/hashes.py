@@ -59,6 +59,14 @@ def unit_float(words: np.ndarray) -> np.ndarray:
     return words.astype(np.float32) / np.float32(0xFFFFFFFF)
 
 
+def name_number(name: str) -> float:
+    """The pseudo-random number in [0, 1] that Cycles gives to an object of this name, if no instancer made it."""
+    word = 0
+    for byte in name.encode():
+        word = (37 * word + byte) % 2**32
+    return float(unit_float(lookup3([np.array([word], np.uint32), np.zeros(1, np.uint32)]))[0])
+
+
 def float_words(*values: np.ndarray | float) -> list[np.ndarray]:
     """The bits of float32 values, of -0 those of 0."""
     return [(np.asarray(v, np.float32) + np.float32(0)).view(np.uint32) for v in values]
