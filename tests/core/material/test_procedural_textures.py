@@ -2,13 +2,14 @@
 
 import itertools
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from pointsplat_addon.core.material.expression import Expression, SampleInputs, evaluate
+from pointsplat_addon.core.material.masks import is_mask
 from pointsplat_addon.core.material.nodes.color_nodes import Component
 from pointsplat_addon.core.material.nodes.input_nodes import Constant, Coordinates
 from pointsplat_addon.core.material.nodes.math_nodes import Math
@@ -214,6 +215,21 @@ def test_inputs_may_vary(kind):
         assert np.abs(found[which] - at(constant, points[which])).max() < 1e-6  # measured: 2.4e-7
 
 
+@pytest.mark.parametrize("name", [name for name in TEXTURES if "4D" not in name and "1D" not in name])
+def test_any_input_may_vary_alone(name):
+    """With a constant vector and one input that varies, samples have the values that constants give."""
+    texture = replace(TEXTURES[name], vector=c(0.3, 0.4, 0.5))
+    x, numbers = Component(PLACE, 0), np.array([0.25, 1.5], np.float32)
+    for field in fields(texture):
+        given = getattr(texture, field.name)
+        if field.name == "vector" or not isinstance(given, Constant) or len(given.value) > 1:
+            continue
+        found = at(replace(texture, **{field.name: x}), numbers[:, None] * [1, 0, 0])
+        for number, value in zip(numbers.tolist(), found, strict=True):
+            expected = evaluate(replace(texture, **{field.name: c(number)}), SampleInputs(count=1))[0]
+            assert (value == expected).all(), field.name
+
+
 def test_noise_fills_its_range_and_colours_differ():
     color = at(noise(detail=2.0), somewhere(20_000))
     # Measured: 0.20 to 0.81, correlations to 0.009
@@ -282,6 +298,11 @@ def test_checker_changes_with_every_unit():
     assert (at(Checker(PLACE, c(1)), points)[:, 0] == expected).all()
     # The faces of the unit cube belong to it
     assert (at(Checker(PLACE, c(1)), list(itertools.product((0, 0.5, 1), repeat=3))) == 0).all()
+
+
+def test_checkers_are_masks():
+    assert is_mask(Checker(PLACE, c(1)))
+    assert not is_mask(noise())
 
 
 def test_waves_have_their_period():
