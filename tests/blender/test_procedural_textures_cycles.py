@@ -262,8 +262,8 @@ def drawn(tmp_path_factory):
 # Measured: no white noise, checker, cell or colour of a cell differs. Blender 4.5 / 5.2: gradients 1.2e-7, Voronoi
 # 6.9e-7 / 6.8e-7, waves 1.9e-6 / 9.5e-7, magic 1.1e-6, bricks 9e-8 / 3.7e-6. Green, blue and distortions of noise are
 # read at distances of 100 to 200, where float32 has steps of 1.5e-5; Blender 4.5 rounds them twice and Blender 5.2
-# once, as is done here: 1.0e-4 / 1.6e-5, all else of noise 1.2e-6 / 1.1e-6. Black bodies from 2048 to 10,048 K: 0.043 of up to 2.4, of which
-# Cycles' colours are a fit.
+# once, as is done here: 1.0e-4 / 1.6e-5, all else of noise 1.2e-6 / 1.1e-6. Black bodies from 2048 to 10,048 K, of
+# which Cycles' colours are a fit: 0.043 of up to 2.4.
 TOLERANCE = {"Noise": 1.5e-4, "WhiteNoise": 0.0, "Checker": 1e-7, "Blackbody": 0.05}
 
 

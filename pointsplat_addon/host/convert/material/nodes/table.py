@@ -9,11 +9,11 @@ from .colors import COLORS
 from .inputs import INPUTS
 from .mathematics import MATHEMATICS
 from .normals import NORMALS
-from .places import PLACES
 from .procedural import PROCEDURAL
 from .tree import FindPlacement, NodeConverter, Path, TreeReader, nowhere
+from .world_space import WORLD_SPACE
 
-NODES: dict[str, NodeConverter] = INPUTS | MATHEMATICS | COLORS | NORMALS | PROCEDURAL | PLACES
+NODES: dict[str, NodeConverter] = INPUTS | MATHEMATICS | COLORS | NORMALS | PROCEDURAL | WORLD_SPACE
 
 
 def tree_reader(material_name: str, placement: FindPlacement = nowhere) -> TreeReader:

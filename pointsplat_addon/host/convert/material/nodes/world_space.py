@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .....core.material.nodes import input_nodes, place_nodes
+from .....core.material.nodes import input_nodes, world_nodes
 from .tree import NodeConverter, NodeReader, Outputs, UnsupportedNodeError
 
 
@@ -14,8 +14,8 @@ def _geometry(node: NodeReader) -> Outputs:
     matrix = placement.world_from_object
     position, normal = (input_nodes.Coordinates(kind) for kind in ("position", "normal"))
     return {
-        "Position": place_nodes.ToWorld(position, matrix),
-        "Normal": place_nodes.ToWorld(normal, matrix, normal=True),
+        "Position": world_nodes.ToWorld(position, matrix),
+        "Normal": world_nodes.ToWorld(normal, matrix, normal=True),
     }
 
 
@@ -35,4 +35,4 @@ def _object_info(node: NodeReader) -> Outputs:
     return out
 
 
-PLACES: dict[str, NodeConverter] = {"ShaderNodeNewGeometry": _geometry, "ShaderNodeObjectInfo": _object_info}
+WORLD_SPACE: dict[str, NodeConverter] = {"ShaderNodeNewGeometry": _geometry, "ShaderNodeObjectInfo": _object_info}
