@@ -227,7 +227,8 @@ def test_any_input_may_vary_alone(name):
         found = at(replace(texture, **{field.name: x}), numbers[:, None] * [1, 0, 0])
         for number, value in zip(numbers.tolist(), found, strict=True):
             expected = evaluate(replace(texture, **{field.name: c(number)}), SampleInputs(count=1))[0]
-            assert (value == expected).all(), field.name
+            # Measured: 0 by NumPy 1.26, 6e-8 by NumPy 2.5, whose powers depend on the length of arrays
+            assert np.abs(value - expected).max() < 1e-6, field.name
 
 
 def test_noise_fills_its_range_and_colours_differ():
