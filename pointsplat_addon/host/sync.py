@@ -15,6 +15,7 @@ from ..core.scene.materials import MaterialTable
 from ..core.scene.world import Mist
 from .convert.lights import convert_lights
 from .convert.material.materials import convert_materials
+from .convert.material.nodes.tree import Placement
 from .convert.objects import Collected, Source, collect
 from .convert.world import convert_world
 from .geometries import Geometries
@@ -35,6 +36,7 @@ class Synchronizer:
         self._materials: MaterialTable | None = None
         self._material_warnings: tuple[str, ...] = ()
         self._used: tuple[int, ...] = ()  # rows of the materials in use
+        self._placed: dict[int, Placement | None] = {}  # where materials are shown, by row, of those that read it
         self._depsgraph = 0  # address of the last one; 0: everything is read again
 
     def scene(
@@ -50,7 +52,7 @@ class Synchronizer:
         """
         self._forget_changed(depsgraph)
         collected = collect(depsgraph, view3d, identify=previous is not None)
-        table = self._table(collected.sources)
+        table = self._table(collected)
         geometries, instances = self._instances(collected, table, previous)
         lights, light_warnings = convert_lights(depsgraph)
         world, world_warnings = convert_world(depsgraph)
@@ -94,13 +96,18 @@ class Synchronizer:
         if any(isinstance(u.id, SHADING) for u in updates):
             self._materials = None
 
-    def _table(self, sources: Iterable[Source]) -> MaterialTable:
+    def _table(self, collected: Collected) -> MaterialTable:
         """The table of materials; rows of materials that are not in use hold the default."""
-        used = {self._cache.row(m): m for source in sources for m in source.materials}
+        used = {self._cache.row(m): m for source in collected.sources for m in source.materials}
         used.pop(0, None)
-        if self._materials is None or tuple(used) != self._used:
-            self._used = tuple(used)
-            table, warnings = convert_materials([used.get(row) for row in range(1, self._cache.rows())])
+        moved = any(used.get(row) and collected.placement(used[row]) != p for row, p in self._placed.items())
+        if self._materials is None or tuple(used) != self._used or moved:
+            self._used, self._placed = tuple(used), {}
+
+            def placement(material: bpy.types.Material) -> Placement | None:
+                return self._placed.setdefault(self._cache.row(material), collected.placement(material))
+
+            table, warnings = convert_materials([used.get(row) for row in range(1, self._cache.rows())], placement)
             self._materials, self._material_warnings = table, tuple(warnings)
         return self._materials
 

@@ -8,6 +8,7 @@ from .expression import Expression
 from .nodes.color_nodes import Color, Component, Gray, Invert, Mix
 from .nodes.input_nodes import Constant
 from .nodes.math_nodes import Clamp, Math
+from .nodes.procedural.patterns import Checker
 from .nodes.ramp_nodes import ColorRamp
 from .nodes.texture_nodes import ImageTexture
 
@@ -19,13 +20,15 @@ MASK_OPERATIONS = frozenset(("MULTIPLY", "MINIMUM", "MAXIMUM", "SUBTRACT"))
 def is_mask(alpha: Expression) -> bool:
     """Whether an alpha that varies is 0 or 1 but for the edges of what it cuts out.
 
-    True for images, constant ramps and comparisons of which at most MASK_EDGES lie clearly between, and for
+    True for checkers, images, constant ramps and comparisons of which at most MASK_EDGES lie clearly between, and for
     their products, minima, maxima and complements. Anything else may be anything.
     """
 
     def follow(node: Expression) -> bool:
         if isinstance(node, Constant):
             return all(v in (0.0, 1.0) for v in node.value)
+        if isinstance(node, Checker):
+            return True
         if isinstance(node, Component | Color | Gray):
             source, channels = node.source, slice(0, 3)
             if isinstance(node, Component):

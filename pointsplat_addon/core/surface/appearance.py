@@ -320,7 +320,8 @@ def _inputs(
     generated = tangent = sign = None
     if wanted.generated and len(mesh.position):
         low, high = mesh.position.min(axis=0), mesh.position.max(axis=0)
-        generated = (position - low) / np.maximum(high - low, 1e-30)
+        flat = high <= low  # along such an axis Blender's coordinates are those of the middle
+        generated = np.where(flat, np.float32(0.5), (position - low) / np.where(flat, np.float32(1), high - low))
     tangent_map = next(iter({name or mesh.active_uv for name in wanted.tangent} & mesh.uv.keys()), None)
     if tangent_map is not None:
         along, side = triangle_tangents(mesh.position[mesh.triangles], mesh.uv[tangent_map])

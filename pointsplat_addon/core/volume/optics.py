@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..material.blackbody import blackbody
 from ..numeric.record import record
 from ..scene.volume import Medium, Transfer, Volume
-from .blackbody import blackbody
 
 MOST_EXTINCTION = 1e30  # extinction, and radiance per unit of length, that leaves room for products in float32
 # Stefan-Boltzmann's law as radiance, sigma T^4 / pi, times the 1e-6 by which Blender makes flames displayable

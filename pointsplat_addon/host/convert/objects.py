@@ -9,9 +9,11 @@ from typing import NamedTuple
 import bpy
 import numpy as np
 
+from ...core.material.nodes.procedural.hashes import name_number
 from ...core.scene.volume import Transfer
 from .captured import ANTIALIASED
 from .material.filled import axis_lengths, filling_material, has_surface
+from .material.nodes.tree import Placement
 from .pages import LinkedScan
 from .particles import read_particles
 from .point_shapes import PointShape, pixel_radius_of, shape_of
@@ -80,6 +82,21 @@ class Collected:
     world_from_object: np.ndarray  # (I, 4, 4) float64
     identity: list[tuple]  # of instances, persistent from frame to frame, for motion; empty unless asked for
     unsupported: dict[str, list[str]] = field(default_factory=dict)  # kind of object to names
+
+    def placement(self, material: bpy.types.Material) -> Placement | None:
+        """Returns where a material is shown; None if that is nowhere, in several places, or by several objects."""
+        found = [i for i, source in enumerate(self.sources) if material in source.materials]
+        matrices = self.world_from_object[np.isin(self.source, found)]
+        owners = {self.sources[i].owner for i in found}
+        if len(matrices) == 0 or len(owners) > 1 or (matrices != matrices[0]).any():
+            return None
+        owner = next(iter(owners))
+        ob = next((ob for ob in bpy.data.objects if ob.session_uid == owner), None)
+        if ob is None:
+            return None
+        rows = tuple(tuple(map(float, row)) for row in matrices[0][:3])
+        random = None if self.sources[found[0]].generated else name_number(ob.name)
+        return Placement(rows, tuple(ob.color), ob.pass_index, random)
 
 
 def collect(

@@ -79,5 +79,6 @@ def surface_constants(materials: Sequence[SampleMaterial]) -> SurfaceConstants:
 
 
 def generated_coordinates(position: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Positions (N, 3) as fractions of the box from low to high, (3,) each; along a side of length 0, offsets."""
-    return (position - low) / np.where(high > low, high - low, 1)
+    """Positions (N, 3) as fractions of the box from low to high, (3,) each; a side of length 0 counts as 2 long."""
+    flat = high <= low
+    return (position - np.where(flat, low - 1, low)) / np.where(flat, 2, high - low)

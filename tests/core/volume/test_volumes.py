@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pointsplat_addon.core.material import blackbody
 from pointsplat_addon.core.scene.volume import Medium, Transfer, Volume
 from pointsplat_addon.core.splat.kernel import EVEN_SPACING, kernel
-from pointsplat_addon.core.volume import blackbody, normals, optics, voxels
+from pointsplat_addon.core.volume import normals, optics, voxels
 
 WHITE = Medium(color=np.ones(3))
 # Attributes that may be absent are not in these tests.

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ...numeric.record import record
+from ..blackbody import blackbody
 from ..color_models import COLOR_MODELS, LUMINANCE, hsv_to_rgb, rgb_to_hsv
 from ..expression import Expression, SampleInputs
 from .math_functions import divide_or_zero, fraction, linear_blend
@@ -32,6 +33,16 @@ class Color(Expression):
     def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
         value = values[0]
         return np.repeat(value, 3, axis=1) if value.shape[1] == 1 else value[:, :3]
+
+
+@record
+class Blackbody(Expression):
+    """The colour (N, 3) of a black body of a temperature in kelvin, of luminance 1."""
+
+    temperature: Expression
+
+    def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
+        return blackbody(values[0][:, 0])
 
 
 @record

@@ -6,8 +6,9 @@ How translucent surfaces are simplified is said in surface.py.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import fields, replace
+from functools import partial
 
 import bpy
 import numpy as np
@@ -23,7 +24,7 @@ from ....core.scene.materials import HairTable, MaterialTable, default_materials
 from ....core.scene.volume import Medium
 from .media import read_medium
 from .nodes.table import tree_reader
-from .nodes.tree import HairConstants, TreeReader, UnsupportedNodeError
+from .nodes.tree import FindPlacement, HairConstants, Placement, TreeReader, UnsupportedNodeError, nowhere
 from .surface import SURFACE_NORMAL, WHITE, ZERO, Surface, is_constant
 from .surface_shaders import read_surface
 
@@ -65,13 +66,20 @@ class MaterialRow:
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def convert_materials(materials: Iterable[bpy.types.Material | None]) -> tuple[MaterialTable, list[str]]:
+def convert_materials(
+    materials: Iterable[bpy.types.Material | None],
+    placement: Callable[[bpy.types.Material], Placement | None] = lambda material: None,
+) -> tuple[MaterialTable, list[str]]:
     """The table of materials, and warnings: the default material in row 0, then `materials` in their order.
 
-    materials: evaluated ones; None, an empty material slot, is the default material.
+    materials: evaluated ones; None, an empty material slot, is the default material. placement: returns where a
+    material is shown; it is asked for those that read that.
     """
     table = default_materials()
-    rows = [_default_row(table), *(_default_row(table) if m is None else convert_material(m) for m in materials)]
+    rows = [
+        _default_row(table),
+        *(_default_row(table) if m is None else convert_material(m, partial(placement, m)) for m in materials),
+    ]
     floats = {
         name: np.array([row.constants[name] for row in rows], np.float32).reshape(
             len(rows), *getattr(table, name).shape[1:]
@@ -132,12 +140,12 @@ def _default_row(table: MaterialTable) -> MaterialRow:
     )
 
 
-def convert_material(material: bpy.types.Material) -> MaterialRow:
+def convert_material(material: bpy.types.Material, placement: FindPlacement = nowhere) -> MaterialRow:
     """One material as a row of the table.
 
     A surface that cannot be converted gets the viewport's colour, and one warning.
     """
-    tree = tree_reader(material.name)
+    tree = tree_reader(material.name, placement)
     output = output_node(material)
     surface = _material_surface(material, output, tree)
     translucent = _is_translucent(surface)

@@ -103,4 +103,5 @@ COLORS: dict[str, NodeConverter] = {
         "Color": color_nodes.BrightContrast(node["Color"], node["Bright"], node["Contrast"])
     },
     "ShaderNodeHueSaturation": _hue_saturation,
+    "ShaderNodeBlackbody": lambda node: {"Color": color_nodes.Blackbody(node["Temperature"])},
 }

@@ -31,4 +31,15 @@ def _bump(node: NodeReader) -> Outputs:
     return {"Normal": normal_nodes.Bump(height, node["Strength"], distance, normal)}
 
 
-NORMALS: dict[str, NodeConverter] = {"ShaderNodeNormalMap": _normal_map, "ShaderNodeBump": _bump}
+def _normal(node: NodeReader) -> Outputs:
+    """A constant direction, and the cosine of its angle to the input."""
+    direction = input_nodes.Constant(tuple(float(v) for v in node.node.outputs["Normal"].default_value))
+    unit, given = (math_nodes.VectorMath(v, v, v, ZERO, "NORMALIZE") for v in (direction, node["Normal"]))
+    return {"Normal": unit, "Dot": math_nodes.VectorMath(unit, given, unit, ZERO, "DOT_PRODUCT")}
+
+
+NORMALS: dict[str, NodeConverter] = {
+    "ShaderNodeNormalMap": _normal_map,
+    "ShaderNodeBump": _bump,
+    "ShaderNodeNormal": _normal,
+}

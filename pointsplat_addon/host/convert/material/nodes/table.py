@@ -9,14 +9,16 @@ from .colors import COLORS
 from .inputs import INPUTS
 from .mathematics import MATHEMATICS
 from .normals import NORMALS
-from .tree import NodeConverter, Path, TreeReader
+from .procedural import PROCEDURAL
+from .tree import FindPlacement, NodeConverter, Path, TreeReader, nowhere
+from .world_space import WORLD_SPACE
 
-NODES: dict[str, NodeConverter] = INPUTS | MATHEMATICS | COLORS | NORMALS
+NODES: dict[str, NodeConverter] = INPUTS | MATHEMATICS | COLORS | NORMALS | PROCEDURAL | WORLD_SPACE
 
 
-def tree_reader(material_name: str) -> TreeReader:
-    """A reader for the nodes of one material, whose name appears in the warnings."""
-    return TreeReader(material_name, NODES)
+def tree_reader(material_name: str, placement: FindPlacement = nowhere) -> TreeReader:
+    """A reader for the nodes of one material, whose name appears in the warnings. placement: see TreeReader."""
+    return TreeReader(material_name, NODES, placement)
 
 
 def constant_value(socket: bpy.types.NodeSocket, path: Path) -> tuple[float, ...] | None:

@@ -16,6 +16,24 @@ Outputs = dict[str, Expression]  # output identifier to its value
 SCALAR_SOCKETS = ("VALUE", "INT", "BOOLEAN")
 
 
+@value_record
+class Placement:
+    """The one place in which a material is shown, and the one object that shows it."""
+
+    world_from_object: tuple[tuple[float, ...], ...]  # three rows of four
+    color: tuple[float, ...]
+    index: int
+    random: float | None  # None: an instancer chose it
+
+
+FindPlacement = Callable[[], Placement | None]
+
+
+def nowhere() -> Placement | None:
+    """The placement of what is not shown in one place."""
+    return None
+
+
 class UnsupportedNodeError(Exception):
     """A node, or a setting of it, that cannot be evaluated per sample; the text completes "node X ..."."""
 
@@ -34,10 +52,14 @@ class TreeReader:
     """Reads the inputs of one material's nodes as expressions, and collects warnings about those it cannot read.
 
     converters: what turns a node into the values of its outputs, by the node's bl_idname. Each node is converted once.
+    placement: returns where the material is shown; it is asked by nodes that read that.
     """
 
-    def __init__(self, material_name: str, converters: dict[str, NodeConverter]) -> None:
+    def __init__(
+        self, material_name: str, converters: dict[str, NodeConverter], placement: FindPlacement = nowhere
+    ) -> None:
         self.material_name = material_name
+        self.placement = placement
         self.warnings: list[str] = []
         self.hair: HairConstants | None = None  # set by a shader for strands
         self._converters = converters

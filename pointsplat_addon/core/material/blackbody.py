@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 # Planck's law times the observer, relative to its luminance; Cycles holds the colour constant outside this range, too.
@@ -19,6 +21,7 @@ def blackbody(kelvin: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(x, at, column) for column in _blackbody_table().T], axis=1)
 
 
+@lru_cache(1)
 def _blackbody_table() -> np.ndarray:
     wave = np.arange(360.0, 831.0)  # nanometres
 

@@ -1,0 +1,88 @@
+"""The Geometry and Object Info nodes: the values of Cycles where one object shows a material, else a warning."""
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from pointsplat_addon.host.sync import Synchronizer
+from tests.support.blender.scenes import mesh_object, new_material, node, picture, sync
+
+OUTPUTS = [
+    ("NewGeometry", "Position"),
+    ("NewGeometry", "Normal"),
+    *(("ObjectInfo", name) for name in ("Location", "Color", "Alpha", "Object Index", "Random")),
+]
+
+
+def material(kind: str, output: str):
+    """Emits half of an output plus 1/2, so that nothing is negative."""
+    made = new_material()
+    tree = made.node_tree
+    half = (0.5, 0.5, 0.5)
+    inputs = {"Vector": node(tree, f"ShaderNode{kind}").outputs[output], "Vector_001": half, "Vector_002": half}
+    raised = node(tree, "ShaderNodeVectorMath", inputs, operation="MULTIPLY_ADD").outputs[0]
+    shown = node(tree, "ShaderNodeEmission", {"Color": raised}).outputs[0]
+    node(tree, "ShaderNodeOutputMaterial", {"Surface": shown})
+    return made
+
+
+def square(name="Ünïcode square"):
+    made = mesh_object(name, [(0, 0, 0), (4, 0, 0), (4, 2, 0), (0, 2, 0)], [(0, 1, 2, 3)])
+    made.location, made.rotation_euler, made.scale = (0.3, 0.2, 0.1), (0.1, 0.2, 0.3), (1, 1.2, 0.7)
+    made.color, made.pass_index = (0.2, 0.4, 0.6, 0.8), 3
+    return made
+
+
+@pytest.fixture
+def scene(empty_file):
+    scene = bpy.context.scene
+    camera = bpy.data.cameras.new("camera")
+    camera.type, camera.ortho_scale = "ORTHO", 2
+    scene.camera = bpy.data.objects.new("camera", camera)
+    scene.camera.location = 2, 1.5, 5
+    scene.collection.objects.link(scene.camera)
+    render, cycles = scene.render, scene.cycles
+    render.resolution_x, render.resolution_y, render.filter_size = 8, 4, 0.01
+    if bpy.app.version >= (5, 0, 0):
+        render.image_settings.media_type = "IMAGE"
+    render.image_settings.file_format, render.image_settings.color_depth = "OPEN_EXR", "32"
+    cycles.device, cycles.samples, cycles.filter_width = "CPU", 1, 0.01
+    cycles.use_adaptive_sampling = cycles.use_denoising = False
+    return scene
+
+
+@pytest.mark.parametrize(("kind", "output"), OUTPUTS)
+def test_one_object_has_the_values_of_cycles(scene, tmp_path, kind, output):
+    shown = square()
+    shown.data.materials.append(material(kind, output))
+    drawn = []
+    for scene.render.engine in ("CYCLES", "POINTSPLAT"):
+        drawn.append(picture(scene, tmp_path)[..., :3])
+    # Measured: 0.0005, of half floats
+    assert np.abs(drawn[1] - drawn[0]).max() < 0.001
+
+
+def test_an_object_that_moves_has_another_position(scene):
+    shown = square()
+    shown.data.materials.append(material("NewGeometry", "Position"))
+    synchronizer, emissions = Synchronizer(), []
+    for x in (0.0, 0.0, 1.0):
+        shown.location.x = x
+        table = sync(synchronizer).materials
+        emissions.append(next(graph for graph in table.graphs if graph is not None).digest)
+    assert emissions[0] == emissions[1]
+    assert emissions[1] != emissions[2]
+
+
+@pytest.mark.parametrize("kind", ["NewGeometry", "ObjectInfo"])
+def test_several_objects_with_a_material_have_a_warning(scene, kind):
+    shared = material(kind, "Position" if kind == "NewGeometry" else "Color")
+    for name in ("first", "second"):
+        shown = square(name)
+        shown.location.x = len(name)
+        shown.data.materials.append(shared)
+    warnings = sync().warnings
+    assert len(warnings) == 1
+    assert shared.name in warnings[0]
+    assert "several" in warnings[0]
