@@ -7,6 +7,8 @@ in which each pixel gets coarse things before any gets fine ones.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..core.lod.criteria import criteria_of
@@ -26,8 +28,15 @@ class Need:
     gain: np.ndarray  # (K,) float64 pixels, falling: how far apart the elements of their parents lie
 
 
-def needed_pages(tree: PageTree, view_from_object: np.ndarray, camera: Camera, tolerance: float) -> Need:
-    """Returns the pages that a view of instances (I, 4, 4) needs. `tolerance`: pixels between neighbours."""
+def needed_pages(
+    tree: PageTree,
+    view_from_object: np.ndarray,
+    camera: Camera,
+    tolerance: float,
+    cast: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> Need:
+    """Returns the pages that a view of instances (I, 4, 4) needs. `tolerance`: pixels between neighbours. `cast`: how
+    far apart the elements of pages (n,) out of view may lie for their shadows' sake; None: these are not needed."""
     spacing = np.zeros(len(tree))
     for matrix in view_from_object:
         np.maximum(spacing, projected_spacing(tree.directory, matrix, camera, tolerance), out=spacing)
@@ -38,6 +47,11 @@ def needed_pages(tree: PageTree, view_from_object: np.ndarray, camera: Camera, t
         above = parent[rows]
         wanted = (spacing[rows] > 0) & (gain[above] > 0) & (spacing[above] > tolerance)
         gain[rows] = np.where(wanted, np.minimum(spacing[above], gain[above]), 0.0)
+        if cast is not None:
+            hidden = rows[(spacing[rows] == 0) & (gain[above] > 0)]
+            above = parent[hidden]
+            coarse = tolerance * tree.directory.spacing[above] / cast(hidden)
+            gain[hidden] = np.where(coarse > tolerance, np.minimum(coarse, gain[above]), 0.0)
     pages = np.flatnonzero(gain > 0)
     pages = pages[np.argsort(-gain[pages], kind="stable")]
     return Need(pages, gain[pages])

@@ -18,6 +18,7 @@ from ...core.scene.cloud import PointCloud
 from ...core.scene.scene import Geometry, Scene, StreamedScan
 from ...core.scene.settings import Settings
 from ...core.splat.pixel_radii import with_pixel_radii
+from ...stream.casting import Casters, receivers_of
 from ...stream.cut import CutSplats, cut_pages, splats_of_cut
 from ...stream.need import Need, needed_pages
 from ...stream.pool import PICTURE, POOL, VIEWPORT, PagePool, Wish, wishes_of
@@ -91,7 +92,7 @@ def with_pages(
         pool.refresh(scan)
     if not interactive:
         _wait(pool, lambda: any(scan.tree is None and not scan.failure for scan in _files(scans)), check, warnings)
-    needs = [_need(scan, camera, settings.tolerance) for scan in scans]
+    needs = _needs(scans, scene, camera, settings)
     view = VIEWPORT if interactive else PICTURE
     wishes = sorted(
         (wish for scan, need in zip(scans, needs, strict=True) for wish in _wishes(scan, need)), key=lambda w: -w.gain
@@ -165,11 +166,41 @@ def _wait(pool: PagePool, unfinished: Callable[[], bool], check: Callable[[], No
             return
 
 
-def _need(scan: _Scan, camera: Camera, tolerance: float) -> Need:
+def _needs(scans: list[_Scan], scene: Scene, camera: Camera, settings: Settings) -> list[Need]:
+    """What a view needs of each scan: what it sees, and what casts shadows into that."""
+    tolerance = settings.tolerance
+    seen = [_need(scan, camera, tolerance) for scan in scans]
+    lights = [light for light in scene.lights if light.shadow] if settings.use_shadows else []
+    if not lights:
+        return seen
+    instances = scene.instances
+    casts = np.ones(len(instances), bool) if instances.casts is None else instances.casts
+    shown, found = [], []
+    for scan, need in zip(scans, seen, strict=True):
+        if scan.streamed.scan.tree is not None:
+            where = instances.geometry == scan.row
+            shown.append((scan.streamed.scan.tree, need, instances.world_from_object[where]))
+    receivers = receivers_of(shown, camera, tolerance)
+    if receivers is None:
+        return seen
+    for scan, need in zip(scans, seen, strict=True):
+        tree, where = scan.streamed.scan.tree, (instances.geometry == scan.row) & casts
+        if tree is None or not where.any():
+            found.append(need)
+            continue
+        world = instances.world_from_object[where]
+        cast = Casters(tree, world, receivers, lights, settings.shadow_resolution)
+        found.append(_need(scan, camera, tolerance, cast.spacing))
+    return found
+
+
+def _need(
+    scan: _Scan, camera: Camera, tolerance: float, cast: Callable[[np.ndarray], np.ndarray] | None = None
+) -> Need:
     tree = scan.streamed.scan.tree
     if tree is None or len(scan.view_from_object) == 0:
         return Need(np.empty(0, np.int64), np.empty(0))
-    return needed_pages(tree, scan.view_from_object, camera, tolerance)
+    return needed_pages(tree, scan.view_from_object, camera, tolerance, cast)
 
 
 def _coming(scans: list[_Scan], camera: Camera, tolerance: float, pool: PagePool, wishes: list[Wish]) -> list[Wish]:

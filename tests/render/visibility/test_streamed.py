@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.scene import Geometry, PointSize, Scene, StreamedScan
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
@@ -99,6 +100,42 @@ def test_coarse_pages_cover_as_much_as_all_points(tmp_path: Path) -> None:
     _, scene = paged(tmp_path, PointSize())
     fine, coarse = (render(scene, tolerance, use_shadows=False).pixels["combined"] for tolerance in (FINE, COARSE))
     assert np.abs(fine - coarse)[..., :3].mean() < 0.05
+
+
+def wall_and_ground() -> tuple[np.ndarray, np.ndarray]:
+    """A ground and, out of view of TOP, a wall that a sun from the right has shade it; and what is the wall."""
+    random = np.random.default_rng(8)
+    ground = random.uniform(0.01, 0.99, (30_000, 3)) * [1, 1, 0] + [0, 0, 0.05]
+    wall = random.uniform(0, 1, (10_000, 3)) * [0, 0.5, 0.6] + [0.9, 0.25, 0.06]
+    return np.concatenate([ground, wall]).astype(np.float32), np.arange(40_000) >= 30_000
+
+
+TOP = cameras.camera(eye=(0.35, 0.499, 3.0), target=(0.35, 0.5, 0.0), resolution=(48, 48), parallel=0.6)
+
+
+def test_pages_out_of_view_cast_shadows_into_it(tmp_path: Path) -> None:
+    position, of_wall = wall_and_ground()
+    source = MemoryPages(position, MOST, 0.06)
+    streamed = StreamedScan(scan_in_memory(source, tmp_path / "scan"), PlainLook(), PointSize(0.008))
+    sun = Light("SUN", np.full(3, 3.0), np.zeros(3), np.array([-1.0, 0.0, -1.0]) / np.sqrt(2))
+
+    def picture(geometry: Geometry) -> tuple[np.ndarray, dict]:
+        scene = replace(scene_of(geometry), lights=(sun,))
+        request = Request(TOP, SETTINGS, frozenset({"combined"}), 17)
+        result = opengl().render(scene, request)
+        return result.pixels["combined"][..., :3].astype(float), result.report
+
+    def cloud(which: np.ndarray) -> Geometry:
+        radii = np.full((which.sum(), 1), 0.008, np.float32)
+        return Geometry(f"cloud {which.sum()}", "Cloud", cloud=PointCloud(position[which], radii=radii))
+
+    truth, _ = picture(cloud(np.ones(len(position), bool)))
+    without, _ = picture(cloud(~of_wall))
+    assert np.abs(truth - without).mean() > 0.2 * without.mean()
+    found, report = picture(Geometry(f"paged {tmp_path}", "Paged", streamed=streamed))
+    # The map of shadows has other bounds. Measured: 1.0e-4 of what the wall changes.
+    assert np.abs(found - truth).mean() < 3e-4 * np.abs(truth - without).mean()
+    assert report["streamed"]["pages"] < len(source.directory)
 
 
 def test_what_the_budget_does_not_hold_is_drawn_more_coarsely_and_said(tmp_path: Path) -> None:
