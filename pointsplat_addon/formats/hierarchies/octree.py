@@ -31,6 +31,8 @@ class Octree:
         level = self.key[:, 0]
         if len(self.key) and (level.min() < 0 or level.max() > DEEPEST):
             raise ValueError(f"it has cubes on level {int(level.max())}")
+        if (self.key[:, 1:] < 0).any() or (self.key[:, 1:] >> level[:, None] > 0).any():
+            raise ValueError("it has cubes outside of the first one")
         self.order = np.lexsort((*self.key.T[:0:-1], level))
         if len(self.order) == 0 or level[self.order[0]] > 0:
             self.order = np.concatenate([[-1], self.order])
