@@ -29,12 +29,14 @@ class Octree:
     def directory(self, header: Header) -> Directory:
         """Returns the pages: parents come first. Raises ValueError where levels are no levels."""
         level = self.key[:, 0]
-        if len(self.key) and (level.min() < 0 or level.max() > DEEPEST):
+        if len(self.key) == 0:
+            raise ValueError("it has no points")
+        if level.min() < 0 or level.max() > DEEPEST:
             raise ValueError(f"it has cubes on level {int(level.max())}")
         if (self.key[:, 1:] < 0).any() or (self.key[:, 1:] >> level[:, None] > 0).any():
             raise ValueError("it has cubes outside of the first one")
         self.order = np.lexsort((*self.key.T[:0:-1], level))
-        if len(self.order) == 0 or level[self.order[0]] > 0:
+        if level[self.order[0]] > 0:
             self.order = np.concatenate([[-1], self.order])
         key = np.where(self.order[:, None] < 0, 0, self.key[self.order])
         rows = {tuple(one): row for row, one in enumerate(key.tolist())}

@@ -200,6 +200,37 @@ def test_a_viewport_draws_what_is_there_and_then_the_rest(tmp_path: Path) -> Non
     assert len(source.read_pages) == len(source.directory)
 
 
+def test_the_first_picture_of_a_viewport_is_not_empty(tmp_path: Path) -> None:
+    source, scene = paged(tmp_path)
+    source.seconds = 0.02
+    request = Request(CAMERA, SETTINGS, frozenset({"combined"}), 17, interactive=True)
+    frame = opengl().start(scene, request)
+    assert frame.frame_plan.streamed is not None
+    assert frame.frame_plan.streamed.points > 0
+    frame.release()
+
+
+def test_a_view_that_moves_has_hard_coarse_shadows_of_what_it_shows(tmp_path: Path) -> None:
+    position, _ = wall_and_ground()
+    source = MemoryPages(position, MOST, 0.06)
+    streamed = StreamedScan(scan_in_memory(source, tmp_path / "scan"), PlainLook(), PointSize(0.008))
+    suns = tuple(Light("SUN", np.full(3, 3.0), np.zeros(3), np.array([-0.6, 0, -0.8]), radius=r) for r in (0.0047, 0.2))
+    scene = replace(scene_of(Geometry(f"moving {tmp_path}", "Moving", streamed=streamed)), lights=suns)
+    settings = replace(SETTINGS, tolerance=1.0, shadow_resolution=1024)
+    found = []
+    for moving in (False, True):
+        request = Request(TOP, settings, frozenset({"combined"}), 5, interactive=True, moving=moving)
+        frame = opengl().start(scene, request)
+        plan = frame.frame_plan
+        assert plan.streamed is not None
+        found.append((plan.streamed.needed, plan.request.settings.shadow_resolution, plan.scene.lights[0].radius))
+        assert plan.scene.lights[1].radius == 0.2
+        frame.release()
+    (still, *others), (moving, *those) = found
+    assert moving < still
+    assert (others, those) == ([1024, 0.0047], [256, 0.0])
+
+
 def test_scenes_without_such_scans_start_no_threads_and_report_nothing() -> None:
     before = threading.active_count()
     pool = PagePool()
