@@ -92,7 +92,8 @@ class PointsOfPages:
         found: Columns = {}
         for name, values in points.items():
             if name == "position":
-                found[name] = (values - self._header.origin).astype(np.float32)
+                with np.errstate(all="ignore"):  # what is damaged may lie anywhere; what is not finite is left out
+                    found[name] = (values - self._header.origin).astype(np.float32)
             elif name == "color":
                 found[name] = scene_linear(values, self._coding)
             elif name == "gps_time":
