@@ -1,7 +1,8 @@
 """Which pages of a scan cast shadows into a view though they lie outside of it, and how fine they need be.
 
-What a view shows is some balls around pages, the receivers. A page casts onto one where its own ball meets the beam
-from the receiver to a light, widened toward the ends by their radii.
+What a view shows is some boxes around pages, the receivers. The shadow of a page's box is that box, moved along the
+rays of a sun, or scaled about a light that has a position: where it meets a receiver, as linear inequalities tell, the
+page casts onto it.
 """
 
 from __future__ import annotations
@@ -16,17 +17,18 @@ from ..core.scene.lights import Light
 from .need import Need, projected_spacing
 from .tree import PageTree
 
-MOST_RECEIVERS = 128  # of a scan
+MOST_RECEIVERS = 256  # of a scan
 FINEST = 8.0  # texels of a sun's map, times its resolution, across all that casts: render/shadow/map_views.py
+TEXELS = 2.0  # between elements: those of one page have half their distance as radius
 BATCH = 1 << 12  # pages that are compared with all receivers at once
 
 
 @record
 class Receivers:
-    """Balls that a view shows, in the world."""
+    """Boxes that a view shows, in the world."""
 
-    centre: np.ndarray  # (R, 3) float64
-    radius: np.ndarray  # (R,) float64
+    middle: np.ndarray  # (R, 3) float64
+    half: np.ndarray  # (R, 3) float64, of their edges
     spacing: np.ndarray  # (R,) float64: what the view tells apart there
     extent: float  # of all scans
 
@@ -36,24 +38,26 @@ def receivers_of(
 ) -> Receivers | None:
     """Returns what a view shows of scans, each with its need and its instances (I, 4, 4), world from object; None: it
     shows nothing of them."""
-    centres, radii, spacings, extent = [], [], [], 0.0
+    middles, halves, spacings, extent = [], [], [], 0.0
     for tree, need, matrices in scans:
         pages = _shown(tree, need)
         for matrix in matrices if len(pages) else ():
-            centre, radius = balls(tree, pages, matrix)
+            middle, half = boxes(tree, pages, matrix)
             with np.errstate(all="ignore"):
                 seen = projected_spacing(tree.directory, camera.view_from_world @ matrix, camera)[pages]
-            depth = -(centre @ camera.view_from_world[2, :3] + camera.view_from_world[2, 3])
+            depth = -(middle @ camera.view_from_world[2, :3] + camera.view_from_world[2, 3])
+            # Of boxes around the eye most of what is seen lies half an edge away and farther.
+            depth = np.maximum(depth, np.abs(half @ np.abs(camera.view_from_world[2, :3])))
             focal = max(abs(f) for f in camera.pixel_from_view()[:2])
-            apart = tolerance * (np.maximum(depth, camera.near) if camera.perspective else np.ones(len(depth))) / focal
-            here = (seen > 0) & np.isfinite(centre).all(axis=1)
-            centres.append(centre[here])
-            radii.append(radius[here])
+            apart = tolerance / focal * (depth if camera.perspective else np.ones(len(depth)))
+            here = (seen > 0) & np.isfinite(middle).all(axis=1)
+            middles.append(middle[here])
+            halves.append(half[here])
             spacings.append(apart[here])
-            extent = max(extent, 2 * float(balls(tree, np.zeros(1, np.int64), matrix)[1][0]))
-    if not centres or not sum(len(c) for c in centres):
+            extent = max(extent, 2 * float(boxes(tree, np.zeros(1, np.int64), matrix)[1].max()))
+    if not sum(len(some) for some in middles):
         return None
-    return Receivers(np.concatenate(centres), np.concatenate(radii), np.concatenate(spacings), extent)
+    return Receivers(np.concatenate(middles), np.concatenate(halves), np.concatenate(spacings), extent)
 
 
 def _shown(tree: PageTree, need: Need) -> np.ndarray:
@@ -70,14 +74,12 @@ def _shown(tree: PageTree, need: Need) -> np.ndarray:
     return first[missing[first] | ~has[first]]
 
 
-def balls(tree: PageTree, pages: np.ndarray, world_from_object: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Centres (n, 3) and radii (n,), float64, of balls in the world around pages (n,)."""
+def boxes(tree: PageTree, pages: np.ndarray, world_from_object: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Middles and half edges, (n, 3) float64 each, of boxes in the world around pages (n,)."""
     low, high = np.moveaxis(tree.directory.bounds[pages], 1, 0)
     linear = world_from_object[:3, :3]
     with np.errstate(all="ignore"):
-        scale = float(np.linalg.norm(linear, 2)) if np.isfinite(linear).all() else 0.0
-        centre = (low + high) / 2 @ linear.T + world_from_object[:3, 3]
-    return centre, np.linalg.norm(high - low, axis=1) / 2 * scale
+        return (low + high) / 2 @ linear.T + world_from_object[:3, 3], (high - low) / 2 @ np.abs(linear).T
 
 
 class Casters:
@@ -105,35 +107,51 @@ class Casters:
                 continue
             for start in range(0, len(pages), BATCH):
                 some = slice(start, start + BATCH)
-                centre, radius = balls(self._tree, pages[some], matrix)
+                middle, half = boxes(self._tree, pages[some], matrix)
                 for light in self._lights:
-                    world = _allowed(light, centre, radius, self._receivers, self._resolution)
+                    world = _allowed(light, middle, half, self._receivers, self._resolution)
                     np.minimum(found[some], world / scale, out=found[some])
         return found
 
 
-def _allowed(light: Light, centre: np.ndarray, radius: np.ndarray, receivers: Receivers, resolution: int) -> np.ndarray:
-    """(n,) world units: how far apart what lies in balls, centres (n, 3) and radii (n,), may lie."""
-    away = centre[:, None] - receivers.centre[None]
+def _allowed(light: Light, middle: np.ndarray, half: np.ndarray, receivers: Receivers, resolution: int) -> np.ndarray:
+    """(n,) world units: how far apart what lies in boxes, middles and half edges (n, 3), may lie."""
+    away = receivers.middle[None] - middle[:, None]
     if light.kind == "SUN":
-        toward = -np.asarray(light.direction, float)
-        wide = np.tan(light.radius)
-        along = np.maximum(away @ toward, 0.0)
-        aside = np.linalg.norm(away - along[..., None] * toward, axis=2)
-        blur = along * wide  # how wide the rim of a shadow is
-        meets = aside <= radius[:, None] + receivers.radius + blur
-        texel, scale = receivers.extent / (FINEST * resolution), 1.0
+        along = np.maximum(away @ np.asarray(light.direction, float), 0.0)
+        blur = along * np.tan(light.radius)  # how wide the rim of a shadow is
+        texel, scale = TEXELS * receivers.extent / (FINEST * resolution), 1.0
     else:
         size = light.radius
         if light.kind == "AREA":
             size = sum(float(np.linalg.norm(axis)) for axis in (light.axis_u, light.axis_v) if axis is not None)
-        beam = light.position - receivers.centre
-        length = np.maximum(np.linalg.norm(beam, axis=1), 1e-30)
-        share = np.clip((away * beam).sum(axis=2) / length**2, 0.0, 1.0)  # 0 at the receiver, 1 at the light
-        aside = np.linalg.norm(away - share[..., None] * beam, axis=2)
-        blur = size * share
-        meets = aside <= radius[:, None] + receivers.radius * (1 - share) + blur
-        scale = 1 - share  # of what casts, in its shadow
-        texel = np.linalg.norm(centre - light.position, axis=1)[:, None] / resolution
+        apart = np.linalg.norm(middle - light.position, axis=1)[:, None]
+        scale = np.clip(apart / np.maximum(np.linalg.norm(receivers.middle - light.position, axis=1), 1e-30), 0.0, 1.0)
+        blur = size * (1 - scale)
+        texel = TEXELS * apart / resolution
+    # Where the shadow is that lies at `move` along its rays: between these two all inequalities hold.
+    first = np.zeros(blur.shape) if light.kind == "SUN" else np.ones(blur.shape)
+    last = np.full(blur.shape, np.inf)
+    for axis in range(3):
+        wide = receivers.half[None, :, axis] + blur
+        if light.kind == "SUN":
+            low = high = np.full(len(middle), float(light.direction[axis]))
+            below, above = (away[..., axis] + sign * (half[:, None, axis] + wide) for sign in (-1, 1))
+        else:
+            at = middle[:, axis] - light.position[axis]
+            low, high = at - half[:, axis], at + half[:, axis]
+            below, above = (receivers.middle[None, :, axis] - light.position[axis] + sign * wide for sign in (-1, 1))
+        _narrow(first, last, low[:, None], above)
+        _narrow(first, last, -high[:, None], -below)
     spacing = np.maximum(np.maximum(receivers.spacing * scale, blur), texel)
-    return np.where(meets, spacing, np.inf).min(axis=1)
+    return np.where(first <= last, spacing, np.inf).min(axis=1)
+
+
+def _narrow(first: np.ndarray, last: np.ndarray, factor: np.ndarray, most: np.ndarray) -> None:
+    """Narrows ranges from `first` to `last` (n, R), in place, to where factor (n, 1) times a number is at most `most`
+    (n, R)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        end = most / factor
+    np.minimum(last, end, out=last, where=factor > 0)
+    np.maximum(first, end, out=first, where=factor < 0)
+    last[(factor == 0) & (most < 0)] = -np.inf

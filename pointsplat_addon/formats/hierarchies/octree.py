@@ -9,7 +9,7 @@ import numpy as np
 from ...core.surface.nearest import median_spacing
 from ..points.colors import Coding, coding_of, scene_linear
 from ..points.reader import Columns, Header
-from .source import Directory, PageSource
+from .source import LARGEST, Directory, PageSource
 
 DEEPEST = 60  # levels: an edge that is halved so often is less than the rounding of the root's
 
@@ -35,6 +35,8 @@ class Octree:
             raise ValueError(f"it has cubes on level {int(level.max())}")
         if (self.key[:, 1:] < 0).any() or (self.key[:, 1:] >> level[:, None] > 0).any():
             raise ValueError("it has cubes outside of the first one")
+        if not (np.abs([*self.low, self.side, self.spacing, *header.origin]) < LARGEST).all():
+            raise ValueError("it lies impossibly far away")
         self.order = np.lexsort((*self.key.T[:0:-1], level))
         if level[self.order[0]] > 0:
             self.order = np.concatenate([[-1], self.order])
