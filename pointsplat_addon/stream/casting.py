@@ -2,7 +2,7 @@
 
 What a view shows is some boxes around pages, the receivers. The shadow of a page's box is that box, moved along the
 rays of a sun, or scaled about a light that has a position: where it meets a receiver, as linear inequalities tell, the
-page casts onto it.
+page casts onto it. Pages are compared with the receivers that the pages above them meet.
 """
 
 from __future__ import annotations
@@ -12,15 +12,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..core.numeric.record import record
+from ..core.numeric.segments import ranges
 from ..core.scene.camera import Camera
 from ..core.scene.lights import Light
 from .need import Need, projected_spacing
 from .tree import PageTree
 
-MOST_RECEIVERS = 256  # of a scan
 FINEST = 8.0  # texels of a sun's map, times its resolution, across all that casts: render/shadow/map_views.py
 TEXELS = 2.0  # between elements: those of one page have half their distance as radius
-BATCH = 1 << 12  # pages that are compared with all receivers at once
 
 
 @record
@@ -31,6 +30,9 @@ class Receivers:
     half: np.ndarray  # (R, 3) float64, of their edges
     spacing: np.ndarray  # (R,) float64: what the view tells apart there
     extent: float  # of all scans
+
+    def take(self, rows: np.ndarray) -> Receivers:
+        return Receivers(self.middle[rows], self.half[rows], self.spacing[rows], self.extent)
 
 
 def receivers_of(
@@ -50,7 +52,8 @@ def receivers_of(
             depth = np.maximum(depth, np.abs(half @ np.abs(camera.view_from_world[2, :3])))
             focal = max(abs(f) for f in camera.pixel_from_view()[:2])
             apart = tolerance / focal * (depth if camera.perspective else np.ones(len(depth)))
-            here = (seen > 0) & np.isfinite(middle).all(axis=1)
+            # Others are in view as boxes alone: what is below them is not.
+            here = (seen > 0) & ((seen <= tolerance) | tree.is_leaf[pages]) & np.isfinite(middle).all(axis=1)
             middles.append(middle[here])
             halves.append(half[here])
             spacings.append(apart[here])
@@ -61,17 +64,10 @@ def receivers_of(
 
 
 def _shown(tree: PageTree, need: Need) -> np.ndarray:
-    """(R,) some pages that together hold all that a view needs: of those that add the most the deepest ones."""
-    first = need.pages[:MOST_RECEIVERS]
-    parent = tree.directory.parent
-    wanted, taken = np.zeros(len(tree), bool), np.zeros(len(tree), bool)
-    wanted[need.pages], taken[first] = True, True
-    below = need.pages[need.pages > 0]
-    missing = np.zeros(len(tree), bool)  # some needed page below is not among the first
-    missing[parent[below[~taken[below]]]] = True
+    """(R,) the deepest pages that a view needs: together they hold all that it sees."""
     has = np.zeros(len(tree), bool)
-    has[parent[below]] = True
-    return first[missing[first] | ~has[first]]
+    has[tree.directory.parent[need.pages[need.pages > 0]]] = True
+    return need.pages[~has[need.pages]]
 
 
 def boxes(tree: PageTree, pages: np.ndarray, world_from_object: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -94,29 +90,34 @@ class Casters:
         resolution: int,
     ) -> None:
         """`world_from_object`: (I, 4, 4). `lights`: that cast shadows. `resolution`: of shadow maps."""
-        self._tree, self._matrices, self._lights = tree, world_from_object, lights
-        self._receivers, self._resolution = receivers, resolution
+        usable = np.isfinite(world_from_object).all(axis=(1, 2))
+        self._tree, self._receivers, self._resolution = tree, receivers, resolution
+        all_of_them = np.zeros(len(receivers.spacing), np.int64), np.arange(len(receivers.spacing))
+        # By instance and light: pages and the receivers that they meet, sorted by pages; of the level above.
+        self._met = [(matrix, light, all_of_them) for matrix in world_from_object[usable] for light in lights]
 
     def spacing(self, pages: np.ndarray) -> np.ndarray:
         """(n,) float64, object units: how far apart the elements of pages (n,) may lie, so that no shadow shows it;
-        inf: they cast none into the view."""
+        inf: they cast none into the view. `pages`: of one level, rising; those of the level above come before."""
         found = np.full(len(pages), np.inf)
-        for matrix in self._matrices:
-            scale = float(np.linalg.norm(matrix[:3, :3], 2)) if np.isfinite(matrix).all() else 0.0
-            if scale <= 0:
-                continue
-            for start in range(0, len(pages), BATCH):
-                some = slice(start, start + BATCH)
-                middle, half = boxes(self._tree, pages[some], matrix)
-                for light in self._lights:
-                    world = _allowed(light, middle, half, self._receivers, self._resolution)
-                    np.minimum(found[some], world / scale, out=found[some])
+        parent = self._tree.directory.parent[pages]
+        for i, (matrix, light, (above, receivers)) in enumerate(self._met):
+            first, end = np.searchsorted(above, parent, "left"), np.searchsorted(above, parent, "right")
+            row = np.repeat(np.arange(len(pages)), end - first)
+            other = receivers[ranges(first, end - first)]
+            middle, half = boxes(self._tree, pages, matrix)
+            world = _allowed(light, middle[row], half[row], self._receivers.take(other), self._resolution)
+            meets = np.isfinite(world)
+            self._met[i] = matrix, light, (pages[row[meets]], other[meets])
+            scale = max(float(np.linalg.norm(matrix[:3, :3], 2)), 1e-30)
+            np.minimum.at(found, row[meets], world[meets] / scale)
         return found
 
 
 def _allowed(light: Light, middle: np.ndarray, half: np.ndarray, receivers: Receivers, resolution: int) -> np.ndarray:
-    """(n,) world units: how far apart what lies in boxes, middles and half edges (n, 3), may lie."""
-    away = receivers.middle[None] - middle[:, None]
+    """(n,) world units: how far apart what lies in boxes, middles and half edges (n, 3), may lie for what it casts onto
+    one receiver each (n); inf: it casts nothing onto it."""
+    away = receivers.middle - middle
     if light.kind == "SUN":
         along = np.maximum(away @ np.asarray(light.direction, float), 0.0)
         blur = along * np.tan(light.radius)  # how wide the rim of a shadow is
@@ -125,31 +126,31 @@ def _allowed(light: Light, middle: np.ndarray, half: np.ndarray, receivers: Rece
         size = light.radius
         if light.kind == "AREA":
             size = sum(float(np.linalg.norm(axis)) for axis in (light.axis_u, light.axis_v) if axis is not None)
-        apart = np.linalg.norm(middle - light.position, axis=1)[:, None]
+        apart = np.linalg.norm(middle - light.position, axis=1)
         scale = np.clip(apart / np.maximum(np.linalg.norm(receivers.middle - light.position, axis=1), 1e-30), 0.0, 1.0)
         blur = size * (1 - scale)
         texel = TEXELS * apart / resolution
     # Where the shadow is that lies at `move` along its rays: between these two all inequalities hold.
-    first = np.zeros(blur.shape) if light.kind == "SUN" else np.ones(blur.shape)
-    last = np.full(blur.shape, np.inf)
+    first = np.full(len(away), 0.0 if light.kind == "SUN" else 1.0)
+    last = np.full(len(away), np.inf)
     for axis in range(3):
-        wide = receivers.half[None, :, axis] + blur
+        wide = receivers.half[:, axis] + blur
         if light.kind == "SUN":
-            low = high = np.full(len(middle), float(light.direction[axis]))
-            below, above = (away[..., axis] + sign * (half[:, None, axis] + wide) for sign in (-1, 1))
+            low = high = np.full(len(away), float(light.direction[axis]))
+            below, above = (away[:, axis] + sign * (half[:, axis] + wide) for sign in (-1, 1))
         else:
             at = middle[:, axis] - light.position[axis]
             low, high = at - half[:, axis], at + half[:, axis]
-            below, above = (receivers.middle[None, :, axis] - light.position[axis] + sign * wide for sign in (-1, 1))
-        _narrow(first, last, low[:, None], above)
-        _narrow(first, last, -high[:, None], -below)
+            below, above = (receivers.middle[:, axis] - light.position[axis] + sign * wide for sign in (-1, 1))
+        _narrow(first, last, low, above)
+        _narrow(first, last, -high, -below)
     spacing = np.maximum(np.maximum(receivers.spacing * scale, blur), texel)
-    return np.where(first <= last, spacing, np.inf).min(axis=1)
+    return np.where(first <= last, spacing, np.inf)
 
 
 def _narrow(first: np.ndarray, last: np.ndarray, factor: np.ndarray, most: np.ndarray) -> None:
-    """Narrows ranges from `first` to `last` (n, R), in place, to where factor (n, 1) times a number is at most `most`
-    (n, R)."""
+    """Narrows ranges from `first` to `last` (n,), in place, to where `factor` (n,) times a number is at most `most`
+    (n,)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         end = most / factor
     np.minimum(last, end, out=last, where=factor > 0)

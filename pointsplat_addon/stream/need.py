@@ -36,7 +36,8 @@ def needed_pages(
     cast: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> Need:
     """Returns the pages that a view of instances (I, 4, 4) needs. `tolerance`: pixels between neighbours. `cast`: how
-    far apart the elements of pages (n,) out of view may lie for their shadows' sake; None: these are not needed."""
+    far apart the elements of pages (n,) may lie for their shadows' sake, level by level; None: what is out of view is
+    not needed."""
     directory, parent = tree.directory, tree.directory.parent
     spacing, gain = np.zeros(len(tree)), np.zeros(len(tree))
 
@@ -52,11 +53,10 @@ def needed_pages(
         above = parent[rows]
         wanted = (spacing[rows] > 0) & (spacing[above] > tolerance)
         gain[rows] = np.where(wanted, np.minimum(spacing[above], gain[above]), 0.0)
-        if cast is not None and not (spacing[rows] > 0).all():
-            hidden = rows[spacing[rows] == 0]
-            above = parent[hidden]
-            coarse = tolerance * directory.spacing[above] / cast(hidden)
-            gain[hidden] = np.where(coarse > tolerance, np.minimum(coarse, gain[above]), 0.0)
+        if cast is not None:
+            coarse = tolerance * directory.spacing[above] / cast(rows)
+            hidden = (spacing[rows] == 0) & (coarse > tolerance)
+            gain[rows[hidden]] = np.minimum(coarse, gain[above])[hidden]
     pages = np.flatnonzero(gain > 0)
     pages = pages[np.argsort(-gain[pages], kind="stable")]
     return Need(pages, gain[pages])

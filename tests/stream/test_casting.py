@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.lights import Light
-from pointsplat_addon.stream.casting import BATCH, Casters, Receivers, receivers_of
+from pointsplat_addon.stream.casting import Casters, Receivers, receivers_of
 from pointsplat_addon.stream.need import needed_pages, projected_spacing
 from pointsplat_addon.stream.tree import PageTree
 from scripts.scenes import cameras
@@ -73,6 +73,14 @@ def test_pages_out_of_view_are_needed_where_they_lie_between_what_is_seen_and_a_
     assert unwanted > 10
 
 
+def spacing_of(tree: PageTree, receivers: Receivers, lights: list[Light], resolution: int, page: np.ndarray) -> float:
+    """Of a page (1,), after those above it."""
+    cast, line = Casters(tree, MATRIX, receivers, lights, resolution), [page]
+    while line[0][0] > 0:
+        line.insert(0, tree.directory.parent[line[0]])
+    return [cast.spacing(one) for one in line[1:]][-1][0]
+
+
 def test_shadows_are_as_fine_as_the_view_the_map_and_the_light_show_them(source: MemoryPages) -> None:
     tree = PageTree(source.directory)
     receivers = Receivers(np.array([[0.5, 0.5, 0.0]]), np.full((1, 3), 0.01), np.array([0.02]), 1.0)
@@ -83,17 +91,14 @@ def test_shadows_are_as_fine_as_the_view_the_map_and_the_light_show_them(source:
     along = up[0] / np.linalg.norm(up[0])
     sun = Light("SUN", np.ones(3), np.zeros(3), along)
     lamp = Light("POINT", np.ones(3), middle - up[0], along)  # twice as far away as the page
-    assert Casters(tree, MATRIX, receivers, [sun], 1 << 14).spacing(high) == pytest.approx(0.02)
-    assert Casters(tree, MATRIX, receivers, [sun], 4).spacing(high) == pytest.approx(1 / 16)
-    assert Casters(tree, MATRIX, receivers, [lamp], 1 << 14).spacing(high) == pytest.approx(0.01)
+    assert spacing_of(tree, receivers, [sun], 1 << 14, high) == pytest.approx(0.02)
+    assert spacing_of(tree, receivers, [sun], 4, high) == pytest.approx(1 / 16)
+    assert spacing_of(tree, receivers, [lamp], 1 << 14, high) == pytest.approx(0.01)
     wide = Light("SUN", np.ones(3), np.zeros(3), along, radius=0.1)
     distance = np.linalg.norm(up)
-    assert Casters(tree, MATRIX, receivers, [wide], 1 << 14).spacing(high) == pytest.approx(np.tan(0.1) * distance)
+    assert spacing_of(tree, receivers, [wide], 1 << 14, high) == pytest.approx(np.tan(0.1) * distance)
     beneath = Light("SUN", np.ones(3), np.zeros(3), -along)
-    assert np.isinf(Casters(tree, MATRIX, receivers, [beneath], 1 << 14).spacing(high)).all()
-    assert Casters(tree, np.zeros((1, 4, 4)), receivers, [sun], 64).spacing(high)[0] == np.inf
-    many = np.repeat(high, BATCH + 3)
-    assert Casters(tree, MATRIX, receivers, [sun], 1 << 14).spacing(many) == pytest.approx(0.02)
+    assert np.isinf(spacing_of(tree, receivers, [beneath], 1 << 14, high)).all()
 
 
 def test_nothing_that_is_seen_receives_nothing(source: MemoryPages) -> None:
