@@ -91,18 +91,18 @@ class PointsOfPages:
             time = time[np.isfinite(time)]
             self._start = float(time[0]) if len(time) else 0.0
             self._coding = coding_of(points["color"]) if "color" in points else Coding()
-        found: Columns = {}
-        for name, values in points.items():
-            if name == "position":
-                with np.errstate(all="ignore"):  # what is damaged may lie anywhere; what is not finite is left out
-                    found[name] = (values - self._header.origin).astype(np.float32)
-            elif name == "color":
-                found[name] = scene_linear(values, self._coding)
-            elif name == "gps_time":
-                found[name] = (values - self._start).astype(np.float32)
-            else:
-                found[name] = values.astype(np.float32) if values.dtype.kind == "f" else values
-        return found
+        # What is damaged may hold anything; positions that are not finite are left out.
+        with np.errstate(all="ignore"):
+            return {name: self._element(name, values) for name, values in points.items()}
+
+    def _element(self, name: str, values: np.ndarray) -> np.ndarray:
+        if name == "position":
+            return (values - self._header.origin).astype(np.float32)
+        if name == "color":
+            return scene_linear(values, self._coding or Coding())
+        if name == "gps_time":
+            return (values - self._start).astype(np.float32)
+        return values.astype(np.float32) if values.dtype.kind == "f" else values
 
 
 def calibrated(source: PageSource) -> Columns:

@@ -59,10 +59,28 @@ vec3 ps_node_coverage(vec3 position, int instance, float depth, float saturation
 // How far, in 0 to 1, a node of a covered fraction thins out from its middle to its rim. At q of its squared half-axes it is then
 // covered by 1 - exp(-d (1 - q / PS_WIDER)^2), in PS_WIDER times its area, in the mean by the fraction. Depths of nodes of even
 // square cells add up evenly: the Fourier transform of that, J3(x) / x^3, is zero at the first harmonic of the cells. Nodes that are
-// nearly closed do not, lest surfaces have holes. `radius`: pixels; where cells are no wider than pixels nobody can tell.
-float ps_node_thinning(float covered, float radius)
+// nearly closed do not, lest surfaces have holes. `wide`: see ps_node_width.
+float ps_node_thinning(float covered, float wide)
 {
-  return clamp((PS_CLOSED - covered) / (PS_CLOSED - 0.7), 0.0, 1.0) * clamp(radius - 1.0, 0.0, 1.0);
+  return clamp((PS_CLOSED - covered) / (PS_CLOSED - 0.7), 0.0, 1.0) * wide;
+}
+
+// How wide a node of a radius in pixels is, in 0 to 1: where cells are no wider than pixels nobody can tell.
+float ps_node_width(float radius)
+{
+  return clamp(radius - 1.0, 0.0, 1.0);
+}
+
+// Of sheets of nodes of which a fraction f is covered, f^2 times this is the share of the silhouettes by which neighbours hide
+// rims: measured by the light of a sun on nodes of a pixel, in which no order is seen.
+#define PS_RIMS_HIDDEN 0.3
+
+// Where on its silhouette one of a wide node's balls is seen in a cell: the square of the distance from the middle, and the angle
+// over that of a turn. Those of neighbouring cells are spread evenly (the sequence R4 of Roberts 2018), so that no side of the
+// node is brighter than the other.
+vec2 ps_scattered(vec2 cell, float number)
+{
+  return fract(vec2(dot(cell, vec2(0.8566749, 0.7338918)), dot(cell, vec2(0.6287068, 0.5385973))) + number);
 }
 
 // The depth d in the middle of a node that thins out: of the mean, PS_WIDER (1 - sqrt(pi / (4 d)) erf(sqrt(d))), the inverse, to 0.13 %.

@@ -45,7 +45,7 @@ struct PsUnitSplat {
   vec3 conic;  // 1 - conic . (x x, x y, y y) is what ps_meet_splat calls outside, with all rays parallel to the one at the centre
   vec2 slope;  // of the depth of the chords' middles, a cell
   float chord;  // half of the one through the centre
-  float thinning, thinned_depth;  // see covered.glsl
+  float wide, thinning, thinned_depth;  // see covered.glsl
 #endif
   vec2 centre;  // in cells
   float depth;  // of the centre
@@ -140,7 +140,8 @@ bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
                 square_along * vec3(splat.slope.x * splat.slope.x, 2.0 * splat.slope.x * splat.slope.y, splat.slope.y * splat.slope.y);
   splat.chord = inversesqrt(square_along);
   float area = inversesqrt(max(splat.conic.x * splat.conic.z - 0.25 * splat.conic.y * splat.conic.y, 1e-30)) / square;
-  splat.thinning = ps_node_thinning(splat.covered.x / float(PS_RANKS), sqrt(area));
+  splat.wide = ps_node_width(sqrt(area));
+  splat.thinning = ps_node_thinning(splat.covered.x / float(PS_RANKS), splat.wide);
   splat.thinned_depth = ps_thinned_depth(splat.covered.x / float(PS_RANKS));
   shape *= splat.thinning > 0.0 ? PS_WIDER : 1.0;
 #endif
@@ -165,16 +166,24 @@ PsSplatHit ps_meet_splat(PsUnitSplat splat, vec2 cell)
   hit.depth = depth;
   hit.point = splat.lift * (cell.x * splat.across_x + cell.y * splat.across_y) - back * splat.along;
   hit.share = 1.0;
-  if (splat.thinning > 0.0) {
+  if (splat.wide > 0.0) {
     float q = 1.0 - outside, left = max(1.0 - q / PS_WIDER, 0.0);
-    float even = outside >= 0.0 ? 1.0 : 0.0;
-    float thinned = (1.0 - exp(-splat.thinned_depth * left * left)) * float(PS_RANKS) / splat.covered.x;
-    hit.share = mix(even, thinned, splat.thinning);
-    // As many normals of each direction as where nodes are covered evenly.
-    float square = mix(min(q, 1.0), 1.0 - left * left * left, splat.thinning);
-    hit.point *= sqrt(square / max(q, 1e-9));
-    chord = splat.chord * sqrt(1.0 - square);
-    outside = left > 0.0 ? 0.0 : -1.0;
+    if (splat.thinning > 0.0) {
+      float even = outside >= 0.0 ? 1.0 : 0.0;
+      float thinned = (1.0 - exp(-splat.thinned_depth * left * left)) * float(PS_RANKS) / splat.covered.x;
+      hit.share = mix(even, thinned, splat.thinning);
+      outside = left > 0.0 ? 0.0 : -1.0;
+    }
+    vec2 at = ps_scattered(floor(0.5 * floor(cell + splat.centre)), splat.covered.y / float(PS_RANKS));
+    if (fract(3.0 * at.x + 5.0 * at.y) < splat.wide) {
+      float covered = splat.covered.x / float(PS_RANKS);
+      at.x *= 1.0 - PS_RIMS_HIDDEN * covered * covered;
+      float turn = 6.28318531 * at.y, unit = splat.chord * inversesqrt(max(q, 1e-9));
+      hit.point = sqrt(at.x) * (cos(turn) * hit.point * inversesqrt(max(q, 1e-9)) + sin(turn) * unit * cross(splat.along, hit.point));
+      chord = splat.chord * sqrt(1.0 - at.x);
+    } else {
+      hit.point *= min(inversesqrt(max(q, 1e-9)), 1.0);
+    }
   }
   hit.point -= chord * splat.along;
   hit.there = outside >= 0.0 && depth >= u.near && depth <= u.far;
