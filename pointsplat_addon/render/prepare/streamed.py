@@ -115,14 +115,8 @@ def with_pages(
     spare = _coming(scans, camera, settings.tolerance, pool, wishes) if interactive else []
     fitting = pool.want(view, wishes, spare, moving)
     if new:
-        first = [(scan, scan.streamed.look) for scan in scans if scan.streamed.scan.tree is not None]
-        _wait(
-            pool,
-            lambda: pool.is_busy(view) and not all(pool.pages(s.streamed.scan, look, [0]) for s, look in first),
-            check,
-            [],
-            FIRST,
-        )
+        shown = [scan.streamed for scan in scans if scan.streamed.scan.tree is not None]
+        _wait(pool, lambda: pool.is_busy(view) and not _begun(pool, shown), check, [], FIRST)
     if not interactive:
         for _ in range(ROUNDS):  # how much memory pages take is known when the first are there
             _wait(pool, lambda: pool.is_busy(view), check, warnings)
@@ -170,6 +164,11 @@ def _scans(scene: Scene, camera: Camera) -> list[_Scan]:
                 views = camera.view_from_world @ scene.instances.world_from_object[where]
             found.append(_Scan(row, geometry, geometry.streamed, views))
     return found
+
+
+def _begun(pool: PagePool, scans: list[StreamedScan]) -> bool:
+    """Whether the first pages of scans are there."""
+    return all(pool.pages(one.scan, one.look, [0]) for one in scans)
 
 
 def _files(scans: list[_Scan]) -> list:
