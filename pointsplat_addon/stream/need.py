@@ -7,6 +7,8 @@ in which each pixel gets coarse things before any gets fine ones.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..core.lod.criteria import criteria_of
@@ -26,34 +28,57 @@ class Need:
     gain: np.ndarray  # (K,) float64 pixels, falling: how far apart the elements of their parents lie
 
 
-def needed_pages(tree: PageTree, view_from_object: np.ndarray, camera: Camera, tolerance: float) -> Need:
-    """Returns the pages that a view of instances (I, 4, 4) needs. `tolerance`: pixels between neighbours."""
-    spacing = np.zeros(len(tree))
-    for matrix in view_from_object:
-        np.maximum(spacing, projected_spacing(tree.directory, matrix, camera, tolerance), out=spacing)
-    parent = tree.directory.parent
-    gain = np.where(spacing > 0, np.inf, 0.0)
-    gain[1:] = 0.0
-    for rows in tree.levels[1:]:
+def needed_pages(
+    tree: PageTree,
+    view_from_object: np.ndarray,
+    camera: Camera,
+    tolerance: float,
+    cast: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> Need:
+    """Returns the pages that a view of instances (I, 4, 4) needs. `tolerance`: pixels between neighbours. `cast`: how
+    far apart the elements of pages (n,) may lie for their shadows' sake, level by level; None: what is out of view is
+    not needed."""
+    directory, parent = tree.directory, tree.directory.parent
+    spacing, gain = np.zeros(len(tree)), np.zeros(len(tree))
+
+    def look_at(rows: np.ndarray) -> None:
+        for matrix in view_from_object:
+            spacing[rows] = np.maximum(spacing[rows], projected_spacing(directory, matrix, camera, tolerance, rows))
+
+    look_at(tree.levels[0])
+    gain[0] = np.inf if spacing[0] > 0 else 0.0
+    for level in tree.levels[1:]:
+        rows = level[gain[parent[level]] > 0]
+        look_at(rows)
         above = parent[rows]
-        wanted = (spacing[rows] > 0) & (gain[above] > 0) & (spacing[above] > tolerance)
+        wanted = (spacing[rows] > 0) & (spacing[above] > tolerance)
         gain[rows] = np.where(wanted, np.minimum(spacing[above], gain[above]), 0.0)
+        if cast is not None:
+            coarse = tolerance * directory.spacing[above] / cast(rows)
+            hidden = (spacing[rows] == 0) & (coarse > tolerance)
+            gain[rows[hidden]] = np.minimum(coarse, gain[above])[hidden]
     pages = np.flatnonzero(gain > 0)
     pages = pages[np.argsort(-gain[pages], kind="stable")]
     return Need(pages, gain[pages])
 
 
-def projected_spacing(directory: Directory, matrix: np.ndarray, camera: Camera, tolerance: float = 1.0) -> np.ndarray:
-    """(P,) float64 pixels: how far apart the elements of each page lie at most, at the nearest depth of its bounds; 0:
-    it is out of view. `matrix`: (4, 4) view from object."""
+def projected_spacing(
+    directory: Directory,
+    matrix: np.ndarray,
+    camera: Camera,
+    tolerance: float = 1.0,
+    pages: np.ndarray | slice = slice(None),
+) -> np.ndarray:
+    """(n,) float64 pixels: how far apart the elements of `pages` (n,) lie at most, at the nearest depth of their
+    bounds; 0: they are out of view. `matrix`: (4, 4) view from object."""
+    bounds, spacing = directory.bounds[pages], directory.spacing[pages]
     if not np.isfinite(matrix).all():
-        return np.zeros(len(directory))
+        return np.zeros(len(bounds))
     criteria = criteria_of(camera, tolerance, MARGIN)
-    middle = directory.bounds.mean(axis=1)
-    half = 0.5 * (directory.bounds[:, 1] - directory.bounds[:, 0])
-    scale = float(np.linalg.svd(matrix[:3, :3], compute_uv=False).max())
-    beyond = directory.spacing * scale
-    seen = np.ones(len(directory), bool)
+    middle = bounds.mean(axis=1)
+    half = 0.5 * (bounds[:, 1] - bounds[:, 0])
+    beyond = spacing * float(np.linalg.svd(matrix[:3, :3], compute_uv=False).max())
+    seen = np.ones(len(bounds), bool)
     for plane in criteria.planes:
         along = plane[:3] @ matrix[:3, :3]
         with np.errstate(invalid="ignore"):

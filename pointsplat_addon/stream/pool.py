@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import threading
 import time
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -42,10 +43,7 @@ class Wish(NamedTuple):
     scan: PagedScan
     look: PageLook
     page: int
-
-    @property
-    def key(self) -> PageKey:
-        return PageKey(self.scan.number, self.look.key, self.page)
+    key: PageKey
 
 
 @dataclass(eq=False)
@@ -73,6 +71,8 @@ class PagePool:
         self.view_before: np.ndarray | None = None  # (4, 4) view_from_world that a viewport showed last
         self.most_bytes = 0  # that were kept and set aside at any time
         self._threads = threads or min(max(os.cpu_count() or 1, 2), MOST_THREADS)
+        self._at_once = self._threads  # pages that are read
+        self._waited: weakref.WeakSet[PagedScan] = weakref.WeakSet()
         self._kept: dict[PageKey, _Kept] = {}
         self._bytes = self._aside = 0
         self._of_element: dict[str, float] = {}  # bytes in memory, by look
@@ -98,11 +98,12 @@ class PagePool:
             self._start()
             self._change.notify_all()
 
-    def want(self, view: str, wishes: Sequence[Wish], spare: Sequence[Wish] = ()) -> int:
+    def want(self, view: str, wishes: Sequence[Wish], spare: Sequence[Wish] = (), moving: bool = False) -> int:
         """Asks for all that a view needs, in the order of what it adds, instead of what it asked for before; returns
         how many of these pages fit the budget together. `view`: which of them. `spare`: what it may need next, which is
-        read when all else is there."""
+        read when all else is there. `moving`: half of the threads read, so that the others' processors draw."""
         with self._change:
+            self._at_once = max(self._threads // 2, 1) if moving else self._threads
             self._number += 1
             room, fitting = self.budget, 0
             for wish in wishes:
@@ -137,6 +138,13 @@ class PagePool:
         with self._change:
             self._change.wait_for(lambda: self.arrivals != seen, seconds)
 
+    def first_time(self, scans: Sequence[PagedScan]) -> bool:
+        """Whether nobody has asked this of one of the scans before."""
+        with self._change:
+            new = any(scan not in self._waited for scan in scans)
+            self._waited.update(scans)
+        return new
+
     def is_busy(self, view: str) -> bool:
         """Whether something that a view asked for is still to come."""
         with self._change:
@@ -157,6 +165,7 @@ class PagePool:
             self._views.clear()
             self._asked.clear()
             self._looked.clear()
+            self._waited.clear()
             self._bytes = 0
             self.view_before = None
 
@@ -173,14 +182,16 @@ class PagePool:
     def _work(self) -> None:
         while True:
             with self._change:
-                self._change.wait_for(lambda: bool(self._asked) or self._next() is not None)
+                self._change.wait_for(
+                    lambda: bool(self._asked) or (len(self._reading) < self._at_once and self._next() is not None)
+                )
                 if self._asked:
                     scan = self._asked.pop(0)
                     self._refreshing.add(scan)
                     wish = None
                 else:
                     wish = self._next()
-                    if wish is None:
+                    if wish is None or len(self._reading) >= self._at_once:
                         continue
                     key, size = wish.key, self._size(wish)
                     self._reading.add(key)
@@ -274,4 +285,7 @@ POOL = PagePool()
 
 def wishes_of(scan: PagedScan, look: PageLook, pages: np.ndarray, gain: np.ndarray) -> list[Wish]:
     """Returns wishes of pages (K,) by what they add (K,), falling."""
-    return [Wish(g, scan, look, p) for p, g in zip(pages.tolist(), gain.tolist(), strict=True)]
+    number, name = scan.number, look.key
+    return [
+        Wish(g, scan, look, p, PageKey(number, name, p)) for p, g in zip(pages.tolist(), gain.tolist(), strict=True)
+    ]

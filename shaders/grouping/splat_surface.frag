@@ -78,7 +78,8 @@ void main()
   vec3 own = ps_splat_normal(splat, ps_meet_splat(splat, cell - splat.centre), toward);
 #if defined(PS_NODES)
   // Half as wide as it is, in pixels: the balls that it stands for rise above it.
-  s.centre.z = PS_BALL - 0.25 * length(splat.box.zw - splat.box.xy) * inversesqrt(float(PS_SUB_SAMPLES));
+  float wider = (splat.thinning > 0.0 ? PS_WIDER : 1.0) * float(PS_SUB_SAMPLES);
+  s.centre.z = PS_BALL - 0.25 * length(splat.box.zw - splat.box.xy) * inversesqrt(wider);
 #elif defined(PS_ROUND)
   s.centre.z = PS_BALL;
 #endif

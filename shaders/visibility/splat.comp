@@ -60,7 +60,7 @@ void main()
     for (int x = first; x <= last; x++) {
       PsSplatHit hit = ps_meet_splat(splat, vec2(x, y) + 0.5 - splat.centre);
 #if defined(PS_NODES) || defined(PS_PARTLY)
-      hit.there = hit.there && ps_is_covered(splat.covered, ivec2(x, y));
+      hit.there = hit.there && ps_is_covered(splat.covered, hit.share, ivec2(x, y));
 #endif
       if (hit.there) {
         uint key = floatBitsToUint(max(hit.depth - u.near, 0.0));

@@ -14,7 +14,7 @@ void main()
     discard;
   }
 #if defined(PS_NODES) || defined(PS_PARTLY)
-  if (!ps_is_covered(splat.covered, ivec2(gl_FragCoord.xy))) {
+  if (!ps_is_covered(splat.covered, hit.share, ivec2(gl_FragCoord.xy))) {
     discard;
   }
 #endif

@@ -9,6 +9,7 @@ bpy = pytest.importorskip("bpy")
 
 import pointsplat_addon
 from pointsplat_addon.formats.hierarchies.building.build import Settings, build
+from pointsplat_addon.formats.hierarchies.opening import open_pages
 from pointsplat_addon.formats.hierarchies.psh import PshPages
 from pointsplat_addon.host.scans import picking
 from pointsplat_addon.host.scans.building import build_scan
@@ -198,6 +199,21 @@ def test_the_points_of_a_hierarchy_close_their_surface_where_that_is_asked_for(t
         image = bpy.data.images.load(scene.render.filepath)
         covered[shape] = np.array(image.pixels[:]).reshape(32, 48, 4)[2:-2, 8:-8, 3].mean()
     assert covered["BALLS"] < 0.5 < 0.97 < covered["SURFACE"]
+
+
+@pytest.mark.parametrize("shape", ["BALLS", "DISKS", "SURFACE"])
+def test_points_of_additive_scans_are_disks_across_their_neighbours(folder: Path, shape: str) -> None:
+    ob = link(folder / "ept.json")
+    ob.pointsplat.shape = shape
+    [geometry] = sync().geometries
+    assert geometry.streamed is not None
+    with open_pages(folder) as source:
+        cloud = geometry.streamed.look.splats(source.read(0), True).cloud
+    assert (cloud.normal is None) == (shape == "BALLS")
+    if cloud.normal is not None:
+        upright = (np.abs(cloud.normal - [0.0, 0.0, 1.0]) < 1e-3).all(axis=1)
+        assert upright.mean() > 0.99  # measured 0.998: strays are balls, whose normals are zero
+        assert not cloud.normal[~upright].any()
 
 
 def test_files_are_built_and_linked(tmp_path):

@@ -158,3 +158,27 @@ def test_two_views_share_pages(tmp_path: Path, threads: int) -> None:
     pool.want("picture", wishes(scan, [0, 2, 7]))
     until(lambda: not pool.is_busy("viewport") and not pool.is_busy("picture"))
     assert sorted(source.read_pages) == [0, 1, 2, 7]
+
+
+def test_half_of_the_threads_read_while_a_view_moves(tmp_path: Path) -> None:
+    source, scan = opened(tmp_path)
+    source.seconds = 0.01
+    pool, most = PagePool(threads=4), []
+    for moving in (True, False):
+        pages = list(range(20 * moving, 20 + 20 * moving))
+        pool.want("viewport", wishes(scan, pages), moving=moving)
+        at_once = 0
+        while pool.is_busy("viewport"):
+            at_once = max(at_once, len(pool._reading))
+            time.sleep(0.001)
+        most.append(at_once)
+        assert sorted(pool.pages(scan, LOOK, pages)) == pages
+    assert most == [2, 4]
+
+
+def test_a_scan_is_new_once(tmp_path: Path) -> None:
+    _, scan = opened(tmp_path)
+    pool = PagePool(threads=1)
+    assert [pool.first_time([scan]) for _ in range(3)] == [True, False, False]
+    pool.clear()
+    assert pool.first_time([scan])

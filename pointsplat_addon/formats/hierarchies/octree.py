@@ -9,7 +9,7 @@ import numpy as np
 from ...core.surface.nearest import median_spacing
 from ..points.colors import Coding, coding_of, scene_linear
 from ..points.reader import Columns, Header
-from .source import Directory, PageSource
+from .source import LARGEST, Directory, PageSource
 
 DEEPEST = 60  # levels: an edge that is halved so often is less than the rounding of the root's
 
@@ -29,10 +29,16 @@ class Octree:
     def directory(self, header: Header) -> Directory:
         """Returns the pages: parents come first. Raises ValueError where levels are no levels."""
         level = self.key[:, 0]
-        if len(self.key) and (level.min() < 0 or level.max() > DEEPEST):
+        if len(self.key) == 0:
+            raise ValueError("it has no points")
+        if level.min() < 0 or level.max() > DEEPEST:
             raise ValueError(f"it has cubes on level {int(level.max())}")
+        if (self.key[:, 1:] < 0).any() or (self.key[:, 1:] >> level[:, None] > 0).any():
+            raise ValueError("it has cubes outside of the first one")
+        if not (np.abs([*self.low, self.side, self.spacing, *header.origin]) < LARGEST).all():
+            raise ValueError("it lies impossibly far away")
         self.order = np.lexsort((*self.key.T[:0:-1], level))
-        if len(self.order) == 0 or level[self.order[0]] > 0:
+        if level[self.order[0]] > 0:
             self.order = np.concatenate([[-1], self.order])
         key = np.where(self.order[:, None] < 0, 0, self.key[self.order])
         rows = {tuple(one): row for row, one in enumerate(key.tolist())}
@@ -85,17 +91,18 @@ class PointsOfPages:
             time = time[np.isfinite(time)]
             self._start = float(time[0]) if len(time) else 0.0
             self._coding = coding_of(points["color"]) if "color" in points else Coding()
-        found: Columns = {}
-        for name, values in points.items():
-            if name == "position":
-                found[name] = (values - self._header.origin).astype(np.float32)
-            elif name == "color":
-                found[name] = scene_linear(values, self._coding)
-            elif name == "gps_time":
-                found[name] = (values - self._start).astype(np.float32)
-            else:
-                found[name] = values.astype(np.float32) if values.dtype.kind == "f" else values
-        return found
+        # What is damaged may hold anything; positions that are not finite are left out.
+        with np.errstate(all="ignore"):
+            return {name: self._element(name, values) for name, values in points.items()}
+
+    def _element(self, name: str, values: np.ndarray) -> np.ndarray:
+        if name == "position":
+            return (values - self._header.origin).astype(np.float32)
+        if name == "color":
+            return scene_linear(values, self._coding or Coding())
+        if name == "gps_time":
+            return (values - self._start).astype(np.float32)
+        return values.astype(np.float32) if values.dtype.kind == "f" else values
 
 
 def calibrated(source: PageSource) -> Columns:

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..points.reader import Columns, FileReader, PointFileError
 from .pages import Grid, Layout, unpack
-from .source import Directory
+from .source import LARGEST, Directory
 
 MAGIC = b"PSPLATH\n"
 VERSION = 1
@@ -27,7 +27,6 @@ HEAD = struct.Struct("<8sI4xQQQII")
 SUFFIX = ".psh"
 LEAF, WIDE = 1, 2  # flags
 MOST_ELEMENTS = 1 << 24  # of a page
-LARGEST = 1e15  # coordinate, edge or length: squares of float32 stay finite
 PAGE = np.dtype([
     ("offset", "<u8"), ("bounds", "<f8", (2, 3)), ("low", "<f8", 3), ("step", "<f8", 3), ("cube", "<f8", 4),
     ("parent", "<i4"), ("level", "<i4"), ("count", "<u4"), ("nbytes", "<u4"), ("crc", "<u4"), ("flags", "<u4"),

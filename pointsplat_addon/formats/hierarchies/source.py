@@ -9,6 +9,8 @@ import numpy as np
 from ...core.numeric.record import record
 from ..points.reader import Columns, OpenFile
 
+LARGEST = 1e15  # coordinate, edge or length: squares of float32 stay finite
+
 
 @record
 class Directory:

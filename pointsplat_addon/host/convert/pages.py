@@ -42,7 +42,9 @@ class ScanLook:
     def __init__(self, material: SampleMaterial, filters: Filters | None, shape: PointShape) -> None:
         self._material = replace(material, alpha=1.0, translucent=False, medium=None, extinction=0.0)
         self._filters, self._shape = filters, shape
-        self.key = arrays.digest(self._material.key, filters, shape.kind, shape if shape.kind == "SURFACE" else "")
+        self.key = arrays.digest(
+            self._material.key, filters, shape.kind, shape if shape.kind == "SURFACE" else shape.stations
+        )
 
     def splats(self, elements: Mapping[str, np.ndarray], additive: bool) -> PageSplats | None:
         """See core/scene/scene.py."""
@@ -55,6 +57,8 @@ class ScanLook:
         nodes, disks = "radii" in elements, self._shape.kind != "BALLS" and "radii" not in elements
         if disks and self._shape.kind == "SURFACE" and not additive:
             elements = _closed(elements, self._shape)
+        elif disks and self._shape.estimates and "normal" not in elements:
+            elements = _faced(elements, self._shape)
         position = np.ascontiguousarray(elements["position"], np.float32)
         points = Points(position, None, elements.get("normal") if disks else None, colors=self._colors(elements))
         look = appearance_of(points, self._material)
@@ -91,6 +95,14 @@ def _closed(elements: Mapping[str, np.ndarray], shape: PointShape) -> dict[str, 
     half = found.radii if found.radii.ndim == 2 else found.radii[:, None]
     columns = {"position": found.position, "normal": found.normal, HALF_AXES: half}
     return {**elements, **columns, **({} if found.axis is None else {AXIS: found.axis})}
+
+
+def _faced(elements: Mapping[str, np.ndarray], shape: PointShape) -> dict[str, np.ndarray]:
+    """Points of a page with normals across their neighbours in the page, zero where these make no surface."""
+    position = np.ascontiguousarray(elements["position"], np.float32)
+    disks, radius = replace(shape, kind="DISKS"), np.zeros(len(position), np.float32)
+    found = closing_elements(disks, position, radius, None, None, lambda _key, make: make())
+    return {**elements, "normal": found.normal}
 
 
 def _taken(columns: Mapping[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:

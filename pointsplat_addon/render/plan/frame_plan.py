@@ -48,6 +48,7 @@ from .reasons import Absences, why_no_eye_dome, why_no_indirect, why_not_trained
 from .request import Request
 from .technique import Technique, TechniqueInput, confirm_technique, decide_technique
 
+MOVING_SHADOWS, LEAST_SHADOWS = 4, 64  # part of the resolution of shadows while a view of scans read by pages moves
 MOST_MARGIN = 64  # pixels around the window in which the centres of wide splats are looked for
 LENS_SAMPLES_BLUR = "each sample sees it through a point on the lens"  # the reason why the world has no picture
 
@@ -156,7 +157,13 @@ def make_frame_plan(
     `limits`, `costs`: of the device. `clock`: is told what shadows take. `presented`: the picture is shown between
     samples, too. `picture`: Combined is drawn, not auxiliary passes alone. Raises Cancelled where the clock says so.
     """
-    scene, streamed = with_pages(scene, request.camera, request.settings, store, request.interactive, clock.check)
+    scene, streamed = with_pages(
+        scene, request.camera, request.settings, store, request.interactive, clock.check, moving=request.moving
+    )
+    if streamed is not None and request.moving:
+        # What casts changes with each picture, and maps are drawn anew.
+        coarse = max(request.settings.shadow_resolution // MOVING_SHADOWS, LEAST_SHADOWS)
+        request = replace(request, settings=replace(request.settings, shadow_resolution=coarse))
     scene, camera = validate(
         scene, request.camera, lambda content, make: store.lookup(Key(Kind.VALIDATED, content), make)
     )

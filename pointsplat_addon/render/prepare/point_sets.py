@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...core.lod.balls.covered import WIDER
 from ...core.lod.cut import Cut
 from ...core.lod.foliage import disconnected_splats
 from ...core.lod.hierarchy import Hierarchy
@@ -87,7 +88,8 @@ def set_ball(points: PointSet, store: Store) -> tuple[np.ndarray, float, float]:
     def measure() -> tuple[np.ndarray, float, float]:
         middle, reach, radius = cloud_ball(points.cloud)
         if points.shape is not None:  # no half-axis is longer than the root of the sum of their squares
-            radius = max(radius, float(np.sqrt(points.shape[:, [0, 3, 5]].sum(axis=1).max(initial=0.0))))
+            longest = float(np.sqrt(points.shape[:, [0, 3, 5]].sum(axis=1).max(initial=0.0)))
+            radius = max(radius, longest * WIDER**0.5)
         return middle, reach, radius
 
     return store.lookup(Key(Kind.BALL_AND_RADIUS, points.key), measure)

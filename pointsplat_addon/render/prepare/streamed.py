@@ -15,9 +15,11 @@ from ...core.numeric.record import record, value_record
 from ...core.scene.bounds import within
 from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud
+from ...core.scene.lights import Light
 from ...core.scene.scene import Geometry, Scene, StreamedScan
 from ...core.scene.settings import Settings
 from ...core.splat.pixel_radii import with_pixel_radii
+from ...stream.casting import Casters, receivers_of
 from ...stream.cut import CutSplats, cut_pages, splats_of_cut
 from ...stream.need import Need, needed_pages
 from ...stream.pool import PICTURE, POOL, VIEWPORT, PagePool, Wish, wishes_of
@@ -28,7 +30,9 @@ from .separation import with_repeated
 
 WAIT = 0.05  # seconds between two looks whether the picture is still wanted
 PATIENCE = 60.0  # seconds without a page, after which a picture no longer waits for the rest
+FIRST = 0.3  # the same for a viewport that has never shown a scan, so that its first picture is not empty
 MEGABYTE = 1 << 20
+NARROW = 0.01  # radians: half the angle of suns that are points while a view moves; that of the sun is 0.0047
 ROUNDS = 4  # at most, in which a picture asks for what fits the budget
 
 
@@ -75,11 +79,13 @@ def with_pages(
     interactive: bool,
     check: Callable[[], None],
     pool: PagePool = POOL,
+    moving: bool = False,
 ) -> tuple[Scene, Streamed | None]:
     """Returns the scene with clouds in the place of scans that are read by pages, and what was read; None: there are no
     such scans.
 
-    `check` is called while pages are read, and may raise to stop.
+    `check` is called while pages are read, and may raise to stop. `moving`: the view is drawn finely once nothing
+    moves: until then what is out of view casts no shadows, and suns that are nearly points are points.
     """
     scans = _scans(scene, camera)
     if not scans:
@@ -89,15 +95,28 @@ def with_pages(
     warnings: list[str] = []
     for scan in _files(scans):
         pool.refresh(scan)
+
+    def opening() -> bool:
+        return any(scan.tree is None and not scan.failure for scan in _files(scans))
+
+    new = interactive and pool.first_time(_files(scans))
     if not interactive:
-        _wait(pool, lambda: any(scan.tree is None and not scan.failure for scan in _files(scans)), check, warnings)
-    needs = [_need(scan, camera, settings.tolerance) for scan in scans]
+        _wait(pool, opening, check, warnings)
+    elif new:
+        _wait(pool, opening, check, [], FIRST)
+    if moving:
+        scene = replace(scene, lights=tuple(map(_hurried, scene.lights)))
+        needs = [_need(scan, camera, settings.tolerance) for scan in scans]
+    else:
+        needs = _needs(scans, scene, camera, settings)
     view = VIEWPORT if interactive else PICTURE
-    wishes = sorted(
-        (wish for scan, need in zip(scans, needs, strict=True) for wish in _wishes(scan, need)), key=lambda w: -w.gain
-    )
+    of_each = [_wishes(scan, need) for scan, need in zip(scans, needs, strict=True)]
+    wishes = sorted((wish for some in of_each for wish in some), key=lambda wish: -wish.gain)
     spare = _coming(scans, camera, settings.tolerance, pool, wishes) if interactive else []
-    fitting = pool.want(view, wishes, spare)
+    fitting = pool.want(view, wishes, spare, moving)
+    if new:
+        shown = [scan.streamed for scan in scans if scan.streamed.scan.tree is not None]
+        _wait(pool, lambda: pool.is_busy(view) and not _begun(pool, shown), check, [], FIRST)
     if not interactive:
         for _ in range(ROUNDS):  # how much memory pages take is known when the first are there
             _wait(pool, lambda: pool.is_busy(view), check, warnings)
@@ -116,8 +135,8 @@ def with_pages(
     geometries, instances = list(scene.geometries), scene.instances
     names: list[str] = []
     drawn = points = 0
-    for scan, need in zip(scans, needs, strict=True):
-        (first, *more), count = _shown(scan, need, fits, pool, store)
+    for scan, some in zip(scans, of_each, strict=True):
+        (first, *more), count = _shown(scan, [wish.page for wish in some if wish.key in fits], pool, store)
         geometries[scan.row] = first
         drawn += count
         rows = np.flatnonzero(scene.instances.geometry == scan.row)
@@ -147,12 +166,23 @@ def _scans(scene: Scene, camera: Camera) -> list[_Scan]:
     return found
 
 
+def _begun(pool: PagePool, scans: list[StreamedScan]) -> bool:
+    """Whether the first pages of scans are there."""
+    return all(pool.pages(one.scan, one.look, [0]) for one in scans)
+
+
 def _files(scans: list[_Scan]) -> list:
     """The files of scans, each once."""
     return list(dict.fromkeys(scan.streamed.scan for scan in scans))
 
 
-def _wait(pool: PagePool, unfinished: Callable[[], bool], check: Callable[[], None], warnings: list[str]) -> None:
+def _wait(
+    pool: PagePool,
+    unfinished: Callable[[], bool],
+    check: Callable[[], None],
+    warnings: list[str],
+    patience: float = PATIENCE,
+) -> None:
     """Waits for pages, until none comes for too long."""
     seen, idle = pool.arrivals, 0.0
     while unfinished():
@@ -160,16 +190,51 @@ def _wait(pool: PagePool, unfinished: Callable[[], bool], check: Callable[[], No
         pool.wait(WAIT, seen)
         idle = idle + WAIT if pool.arrivals == seen else 0.0
         seen = pool.arrivals
-        if idle > PATIENCE:
+        if idle > patience:
             warnings.append(f"No page of a scan has come for {PATIENCE:.0f} seconds: what is there is drawn")
             return
 
 
-def _need(scan: _Scan, camera: Camera, tolerance: float) -> Need:
+def _needs(scans: list[_Scan], scene: Scene, camera: Camera, settings: Settings) -> list[Need]:
+    """What a view needs of each scan: what it sees, and what casts shadows into that."""
+    tolerance = settings.tolerance
+    seen = [_need(scan, camera, tolerance) for scan in scans]
+    lights = [light for light in scene.lights if light.shadow] if settings.use_shadows else []
+    if not lights:
+        return seen
+    instances = scene.instances
+    casts = np.ones(len(instances), bool) if instances.casts is None else instances.casts
+    shown, found = [], []
+    for scan, need in zip(scans, seen, strict=True):
+        if scan.streamed.scan.tree is not None:
+            where = instances.geometry == scan.row
+            shown.append((scan.streamed.scan.tree, need, instances.world_from_object[where]))
+    receivers = receivers_of(shown, camera, tolerance)
+    if receivers is None:
+        return seen
+    for scan, need in zip(scans, seen, strict=True):
+        tree, where = scan.streamed.scan.tree, (instances.geometry == scan.row) & casts
+        if tree is None or not where.any():
+            found.append(need)
+            continue
+        world = instances.world_from_object[where]
+        cast = Casters(tree, world, receivers, lights, settings.shadow_resolution)
+        found.append(_need(scan, camera, tolerance, cast.spacing))
+    return found
+
+
+def _hurried(light: Light) -> Light:
+    """Returns a light as it lights a view that moves: maps of one that is no point are drawn from several points."""
+    return replace(light, radius=0.0) if light.kind == "SUN" and light.radius < NARROW else light
+
+
+def _need(
+    scan: _Scan, camera: Camera, tolerance: float, cast: Callable[[np.ndarray], np.ndarray] | None = None
+) -> Need:
     tree = scan.streamed.scan.tree
     if tree is None or len(scan.view_from_object) == 0:
         return Need(np.empty(0, np.int64), np.empty(0))
-    return needed_pages(tree, scan.view_from_object, camera, tolerance)
+    return needed_pages(tree, scan.view_from_object, camera, tolerance, cast)
 
 
 def _coming(scans: list[_Scan], camera: Camera, tolerance: float, pool: PagePool, wishes: list[Wish]) -> list[Wish]:
@@ -191,10 +256,9 @@ def _wishes(scan: _Scan, need: Need) -> list[Wish]:
     return wishes_of(scan.streamed.scan, scan.streamed.look, need.pages, need.gain)
 
 
-def _shown(scan: _Scan, need: Need, fits: set, pool: PagePool, store: Store) -> tuple[list[Geometry], int]:
-    """What a view draws of a scan, points and nodes, each a geometry; and of how many pages."""
+def _shown(scan: _Scan, wanted: list[int], pool: PagePool, store: Store) -> tuple[list[Geometry], int]:
+    """What a view that wants some pages draws of a scan, points and nodes, each a geometry; and of how many pages."""
     streamed, geometry = scan.streamed, scan.geometry
-    wanted = [wish.page for wish in _wishes(scan, need) if wish.key in fits]
     tree: PageTree | None = streamed.scan.tree
     there = pool.pages(streamed.scan, streamed.look, wanted) if tree is not None else {}
     if tree is None or 0 not in there:

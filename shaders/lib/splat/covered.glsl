@@ -14,7 +14,7 @@ mat3 ps_node_axes(mat3 linear, vec3 first, vec3 second)
   float yy = sqrt(max(shape[1][1] - below.x * below.x, 0.0));
   float zy = (shape[1][2] - below.x * below.y) / yy;
   float zz = sqrt(max(shape[2][2] - below.y * below.y - zy * zy, 0.0));
-  return PS_NODE_SCALE * mat3(xx, below, 0.0, yy, zy, 0.0, 0.0, zz);
+  return mat3(xx, below, 0.0, yy, zy, 0.0, 0.0, zz);
 }
 
 // The areas of a node's balls over its silhouette (in units of pi), both in view space.
@@ -55,12 +55,48 @@ vec3 ps_node_coverage(vec3 position, int instance, float depth, float saturation
 }
 #endif
 
-// Whether a node covers a cell where its silhouette does. Ranks are such that consecutive ones are spread over the pixel. The
-// covered ones are consecutive from a real number on, modulo their count, so that the mean over all numbers is the fraction.
-bool ps_is_covered(vec3 covered, ivec2 cell)
+#ifdef PS_NODES
+// How far, in 0 to 1, a node of a covered fraction thins out from its middle to its rim. At q of its squared half-axes it is then
+// covered by 1 - exp(-d (1 - q / PS_WIDER)^2), in PS_WIDER times its area, in the mean by the fraction. Depths of nodes of even
+// square cells add up evenly: the Fourier transform of that, J3(x) / x^3, is zero at the first harmonic of the cells. Nodes that are
+// nearly closed do not, lest surfaces have holes. `wide`: see ps_node_width.
+float ps_node_thinning(float covered, float wide)
+{
+  return clamp((PS_CLOSED - covered) / (PS_CLOSED - 0.7), 0.0, 1.0) * wide;
+}
+
+// How wide a node of a radius in pixels is, in 0 to 1: where cells are no wider than pixels nobody can tell.
+float ps_node_width(float radius)
+{
+  return clamp(radius - 1.0, 0.0, 1.0);
+}
+
+// Of sheets of nodes of which a fraction f is covered, f^2 times this is the share of the silhouettes by which neighbours hide
+// rims: measured by the light of a sun on nodes of a pixel, in which no order is seen.
+#define PS_RIMS_HIDDEN 0.3
+
+// Where on its silhouette one of a wide node's balls is seen in a cell: the square of the distance from the middle, and the angle
+// over that of a turn. Those of neighbouring cells are spread evenly (the sequence R4 of Roberts 2018), so that no side of the
+// node is brighter than the other.
+vec2 ps_scattered(vec2 cell, float number)
+{
+  return fract(vec2(dot(cell, vec2(0.8566749, 0.7338918)), dot(cell, vec2(0.6287068, 0.5385973))) + number);
+}
+
+// The depth d in the middle of a node that thins out: of the mean, PS_WIDER (1 - sqrt(pi / (4 d)) erf(sqrt(d))), the inverse, to 0.13 %.
+float ps_thinned_depth(float covered)
+{
+  return covered * (1.4582 + covered * (0.5818 + covered * (0.68 + covered * (0.7351 * covered - 0.5896))));
+}
+#endif
+
+// Whether a node covers a cell, by `share` of the fraction. Ranks are such that consecutive ones are
+// spread over the pixel. The covered ones are consecutive from a real number on, modulo their count, so that the mean over all
+// numbers is the fraction.
+bool ps_is_covered(vec3 covered, float share, ivec2 cell)
 {
   float rank = ps_cell_rank(cell) + covered.y;
-  return (rank < float(PS_RANKS) ? rank : rank - float(PS_RANKS)) < covered.x;
+  return (rank < float(PS_RANKS) ? rank : rank - float(PS_RANKS)) < covered.x * share;
 }
 
 // A normal of one of a node's balls, seen along `sight`: normals of balls are spread over the node as they are over a ball.

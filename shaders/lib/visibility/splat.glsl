@@ -45,6 +45,7 @@ struct PsUnitSplat {
   vec3 conic;  // 1 - conic . (x x, x y, y y) is what ps_meet_splat calls outside, with all rays parallel to the one at the centre
   vec2 slope;  // of the depth of the chords' middles, a cell
   float chord;  // half of the one through the centre
+  float wide, thinning, thinned_depth;  // see covered.glsl
 #endif
   vec2 centre;  // in cells
   float depth;  // of the centre
@@ -57,6 +58,9 @@ struct PsSplatHit {
   bool there;
   float depth;
   vec3 point;  // in the splat's coordinates
+#if defined(PS_NODES) || defined(PS_PARTLY)
+  float share;  // of the covered fraction of the splat that is covered here
+#endif
 };
 
 // The least and the greatest value of dot(along, p) / depth over the ellipsoid with the centre p and the shape S, in a parallel
@@ -135,6 +139,11 @@ bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
   splat.conic = vec3(dot(column, column), 2.0 * dot(column, row), dot(row, row)) -
                 square_along * vec3(splat.slope.x * splat.slope.x, 2.0 * splat.slope.x * splat.slope.y, splat.slope.y * splat.slope.y);
   splat.chord = inversesqrt(square_along);
+  float area = inversesqrt(max(splat.conic.x * splat.conic.z - 0.25 * splat.conic.y * splat.conic.y, 1e-30)) / square;
+  splat.wide = ps_node_width(sqrt(area));
+  splat.thinning = ps_node_thinning(splat.covered.x / float(PS_RANKS), splat.wide);
+  splat.thinned_depth = ps_thinned_depth(splat.covered.x / float(PS_RANKS));
+  shape *= splat.thinning > 0.0 ? PS_WIDER : 1.0;
 #endif
   splat.centre = ps_cell_from_pixel(ps_pixel_from_view(p).xy);
   vec2 to_column = vec2(u.lattice.x, -u.lattice.y) * u.focal, to_row = u.lattice.yx * u.focal;
@@ -154,9 +163,30 @@ PsSplatHit ps_meet_splat(PsUnitSplat splat, vec2 cell)
   precise float back = dot(splat.slope, cell), chord = splat.chord * sqrt(max(outside, 0.0));
   precise float depth = splat.depth - back - chord;
   PsSplatHit hit;
-  hit.there = outside >= 0.0 && depth >= u.near && depth <= u.far;
   hit.depth = depth;
-  hit.point = splat.lift * (cell.x * splat.across_x + cell.y * splat.across_y) - (back + chord) * splat.along;
+  hit.point = splat.lift * (cell.x * splat.across_x + cell.y * splat.across_y) - back * splat.along;
+  hit.share = 1.0;
+  if (splat.wide > 0.0) {
+    float q = 1.0 - outside, left = max(1.0 - q / PS_WIDER, 0.0);
+    if (splat.thinning > 0.0) {
+      float even = outside >= 0.0 ? 1.0 : 0.0;
+      float thinned = (1.0 - exp(-splat.thinned_depth * left * left)) * float(PS_RANKS) / splat.covered.x;
+      hit.share = mix(even, thinned, splat.thinning);
+      outside = left > 0.0 ? 0.0 : -1.0;
+    }
+    vec2 at = ps_scattered(floor(0.5 * floor(cell + splat.centre)), splat.covered.y / float(PS_RANKS));
+    if (fract(3.0 * at.x + 5.0 * at.y) < splat.wide) {
+      float covered = splat.covered.x / float(PS_RANKS);
+      at.x *= 1.0 - PS_RIMS_HIDDEN * covered * covered;
+      float turn = 6.28318531 * at.y, unit = splat.chord * inversesqrt(max(q, 1e-9));
+      hit.point = sqrt(at.x) * (cos(turn) * hit.point * inversesqrt(max(q, 1e-9)) + sin(turn) * unit * cross(splat.along, hit.point));
+      chord = splat.chord * sqrt(1.0 - at.x);
+    } else {
+      hit.point *= min(inversesqrt(max(q, 1e-9)), 1.0);
+    }
+  }
+  hit.point -= chord * splat.along;
+  hit.there = outside >= 0.0 && depth >= u.near && depth <= u.far;
   return hit;
 #else
   precise vec3 across = cell.x * splat.across_x + cell.y * splat.across_y;
@@ -176,6 +206,9 @@ PsSplatHit ps_meet_splat(PsUnitSplat splat, vec2 cell)
   hit.there = outside >= 0.0 && depth >= u.near && depth <= u.far;
   hit.depth = depth;
   hit.point = point + (open ? chord : -chord) * along;
+#ifdef PS_PARTLY
+  hit.share = 1.0;
+#endif
   return hit;
 #endif
 }

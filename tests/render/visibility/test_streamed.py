@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.scene import Geometry, PointSize, Scene, StreamedScan
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
@@ -101,6 +102,42 @@ def test_coarse_pages_cover_as_much_as_all_points(tmp_path: Path) -> None:
     assert np.abs(fine - coarse)[..., :3].mean() < 0.05
 
 
+def wall_and_ground() -> tuple[np.ndarray, np.ndarray]:
+    """A ground and, out of view of TOP, a wall that a sun from the right has shade it; and what is the wall."""
+    random = np.random.default_rng(8)
+    ground = random.uniform(0.01, 0.99, (30_000, 3)) * [1, 1, 0] + [0, 0, 0.05]
+    wall = random.uniform(0, 1, (10_000, 3)) * [0, 0.5, 0.6] + [0.9, 0.25, 0.06]
+    return np.concatenate([ground, wall]).astype(np.float32), np.arange(40_000) >= 30_000
+
+
+TOP = cameras.camera(eye=(0.35, 0.499, 3.0), target=(0.35, 0.5, 0.0), resolution=(48, 48), parallel=0.6)
+
+
+def test_pages_out_of_view_cast_shadows_into_it(tmp_path: Path) -> None:
+    position, of_wall = wall_and_ground()
+    source = MemoryPages(position, MOST, 0.06)
+    streamed = StreamedScan(scan_in_memory(source, tmp_path / "scan"), PlainLook(), PointSize(0.008))
+    sun = Light("SUN", np.full(3, 3.0), np.zeros(3), np.array([-1.0, 0.0, -1.0]) / np.sqrt(2))
+
+    def picture(geometry: Geometry) -> tuple[np.ndarray, dict]:
+        scene = replace(scene_of(geometry), lights=(sun,))
+        request = Request(TOP, SETTINGS, frozenset({"combined"}), 17)
+        result = opengl().render(scene, request)
+        return result.pixels["combined"][..., :3].astype(float), result.report
+
+    def cloud(which: np.ndarray) -> Geometry:
+        radii = np.full((which.sum(), 1), 0.008, np.float32)
+        return Geometry(f"cloud {which.sum()}", "Cloud", cloud=PointCloud(position[which], radii=radii))
+
+    truth, _ = picture(cloud(np.ones(len(position), bool)))
+    without, _ = picture(cloud(~of_wall))
+    assert np.abs(truth - without).mean() > 0.2 * without.mean()
+    found, report = picture(Geometry(f"paged {tmp_path}", "Paged", streamed=streamed))
+    # The map of shadows has other bounds. Measured: 1.0e-4 of what the wall changes.
+    assert np.abs(found - truth).mean() < 3e-4 * np.abs(truth - without).mean()
+    assert report["streamed"]["pages"] < len(source.directory)
+
+
 def test_what_the_budget_does_not_hold_is_drawn_more_coarsely_and_said(tmp_path: Path) -> None:
     source, scene = paged(tmp_path)
     for columns in range(40):  # so that the least budget holds a part of the pages
@@ -161,6 +198,37 @@ def test_a_viewport_draws_what_is_there_and_then_the_rest(tmp_path: Path) -> Non
     assert shown[0] < shown[-1] == COUNT
     assert shown == sorted(shown)
     assert len(source.read_pages) == len(source.directory)
+
+
+def test_the_first_picture_of_a_viewport_is_not_empty(tmp_path: Path) -> None:
+    source, scene = paged(tmp_path)
+    source.seconds = 0.02
+    request = Request(CAMERA, SETTINGS, frozenset({"combined"}), 17, interactive=True)
+    frame = opengl().start(scene, request)
+    assert frame.frame_plan.streamed is not None
+    assert frame.frame_plan.streamed.points > 0
+    frame.release()
+
+
+def test_a_view_that_moves_has_hard_coarse_shadows_of_what_it_shows(tmp_path: Path) -> None:
+    position, _ = wall_and_ground()
+    source = MemoryPages(position, MOST, 0.06)
+    streamed = StreamedScan(scan_in_memory(source, tmp_path / "scan"), PlainLook(), PointSize(0.008))
+    suns = tuple(Light("SUN", np.full(3, 3.0), np.zeros(3), np.array([-0.6, 0, -0.8]), radius=r) for r in (0.0047, 0.2))
+    scene = replace(scene_of(Geometry(f"moving {tmp_path}", "Moving", streamed=streamed)), lights=suns)
+    settings = replace(SETTINGS, tolerance=1.0, shadow_resolution=1024)
+    found = []
+    for moving in (False, True):
+        request = Request(TOP, settings, frozenset({"combined"}), 5, interactive=True, moving=moving)
+        frame = opengl().start(scene, request)
+        plan = frame.frame_plan
+        assert plan.streamed is not None
+        found.append((plan.streamed.needed, plan.request.settings.shadow_resolution, plan.scene.lights[0].radius))
+        assert plan.scene.lights[1].radius == 0.2
+        frame.release()
+    (still, *others), (moving, *those) = found
+    assert moving < still
+    assert (others, those) == ([1024, 0.0047], [256, 0.0])
 
 
 def test_scenes_without_such_scans_start_no_threads_and_report_nothing() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from .tree import MOST_SATURATION
 
+WIDER = 2.06  # of its area, in which a node that is wide on the screen thins out: shaders/lib/splat/covered.glsl
 OPAQUE = 1 / 512  # of a node that is stored as covered as a whole: what a byte does not tell from nothing
 
 

@@ -243,7 +243,8 @@ class LasReader(FileReader):
         if attribute.name == "position":
             scale, offset = self._las.header.scales, self._las.header.offsets
             raw = np.stack([points.array[axis] for axis in "XYZ"], axis=1)
-            return raw * scale + offset
+            with np.errstate(all="ignore"):  # a header that is damaged may scale by anything
+                return raw * scale + offset
         if attribute.source == COLORS:
             return np.stack([np.asarray(points[name]) for name in COLORS], axis=1)
         return np.ascontiguousarray(np.asarray(points[attribute.source[0]]), attribute.dtype)

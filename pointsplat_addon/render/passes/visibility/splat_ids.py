@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ....core.lod.balls.covered import WIDER
 from ....core.numeric.lattice import Lattice
 from ....core.numeric.record import value_record
 from ....shading.interface import Block, Interface
@@ -44,7 +45,6 @@ LIST_SIZE: Fields = (("int", "list_size"),)
 # Ranks of a pixel's sub-samples are this multiple of their numbers modulo how many there are, by p of the lattice: of
 # all multiples those by which parts of circles of 0.3 to 1.2 pixels are covered with the least deviation.
 RANK_STEP = {1: 1, 2: 2, 4: 10}
-NODE_SCALE = 1.0  # size at which nodes are drawn, over that of the ellipsoid with their moments
 
 
 @value_record
@@ -67,7 +67,7 @@ class SplatKind:
         if self.partly:
             ranks += (("PS_COVERED", str(COVERED)),)
         if self.nodes:
-            ranks += (("PS_NODE_SCALE", str(NODE_SCALE)),)
+            ranks += (("PS_WIDER", str(WIDER)),)
         named = {
             "PS_ONE_INSTANCE": self.options.one_instance,
             "PS_CULL": self.options.cull and not self.nodes,
