@@ -227,7 +227,7 @@ void main()
 #elif defined(PS_HAS_ENVIRONMENT)
       for (int k = 0; k < (left > 0.0 ? 1 : 0); k++) {
         vec3 world = direction.x * tangent + direction.y * across + direction.z * n;
-        sky = ps_environment_radiance(ps_image_from_view(mat3(u.view_from_world) * world), PS_SKY_ROUGHNESS);
+        sky = ps_environment_radiance(ps_image_from_view(world), PS_SKY_ROUGHNESS);
       }
 #endif
       sum.diffuse += sky * left_weight;

@@ -8,7 +8,13 @@ from pointsplat_addon.core.indirect.tree import build_tree
 from pointsplat_addon.core.light.light_table import light_texture
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.render.passes.indirect.gather import GATHER_BLOCK, Gather, gather_program
-from pointsplat_addon.render.passes.indirect.pages import node_texture, packed_radiance, receiver_texture
+from pointsplat_addon.render.passes.indirect.pages import (
+    NODE_WIDTH,
+    node_rows,
+    packed_radiance,
+    paged_texture,
+    receiver_texture,
+)
 from scripts.scenes import drawing
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -62,7 +68,7 @@ def gathered(
     device = drawing.opengl().device
     tree = build_tree(surfels)
     sides = np.repeat(radiance[:, None], 3, axis=1)
-    nodes = node_texture(device, tree, tree.radiance(surfels, sides, sides))
+    nodes = paged_texture(device, node_rows(tree, tree.radiance(surfels, sides, sides)), NODE_WIDTH)
     rows = light_texture((), World(np.full(3, sky)), np.eye(4))
     lights = device.texture((rows.shape[1], rows.shape[0]), "RGBA32F", rows.reshape(-1))
     normal = np.broadcast_to(normal, position.shape)

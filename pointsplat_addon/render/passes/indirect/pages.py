@@ -15,8 +15,8 @@ MANTISSA = 4096  # steps of radiance below the largest of its channels' power of
 EXPONENTS = 1024  # half the range of exponents
 
 
-def node_texture(device: Device, tree: LightTree, radiance: np.ndarray) -> Texture:
-    """Returns the texture of nodes; radiance: (3, M, 3), as of LightTree.radiance.
+def node_rows(tree: LightTree, radiance: np.ndarray) -> np.ndarray:
+    """Returns the texels of nodes, (M, 16) float32; radiance: (3, M, 3), as of LightTree.radiance.
 
     texel 0  place and radius of the node
           1  area; its first child, or -1; its octants, 8 bits, whether it is scattered, 1 bit, and how far normals lie
@@ -28,7 +28,7 @@ def node_texture(device: Device, tree: LightTree, radiance: np.ndarray) -> Textu
     bits = tree.octants.astype(np.float64) + 256.0 * (tree.scattered > 0.5) + 512.0 * np.rint(LEVELS * tree.along)
     rows = [tree.position, tree.radius, tree.area, tree.first, bits, octahedral(tree.axis)]
     rows += [octahedral(tree.facing), length, *(packed_radiance(side) for side in radiance)]
-    return paged_texture(device, np.column_stack(rows), NODE_WIDTH)
+    return np.column_stack(rows).astype(np.float32)
 
 
 def packed_radiance(radiance: np.ndarray) -> np.ndarray:
