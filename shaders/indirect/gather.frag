@@ -12,8 +12,9 @@
 
 #define PS_STACK 128
 #define PS_MOST_NODES 20000  // that a walk opens: software rasterisers end all loops together after 65,535 turns
-#define PS_FINENESS (0.375 * float(PS_CELLS))  // parts of a near leaf along its side, times how far away it is, over that
+#define PS_FINENESS (0.375 * float(PS_CELLS))  // parts of a near leaf along its side, for each step of t
 #define PS_MOST_PARTS (PS_CELLS * 3 / 2)
+#define PS_LEAST_HEIGHT 0.003  // sides of a leaf, above which a receiver is at least
 // Squares of pieces tile cells unevenly: above the first share of a cell, what is open is closed faster, so many times.
 #define PS_GAPS 0.9
 #define PS_TIGHTENED 3.0
@@ -162,23 +163,33 @@ void main()
     if (height + tilt <= PS_ABOVE * node.radius) {
       continue;
     }
-    // A leaf that is near is a square, of which parts are looked at.
-    int parts = 1;
+    // A leaf that is near is a square, of which parts are looked at, the smaller the nearer they are: x = h sinh(t) has
+    // steps of t that look alike from a height h above 0.
+    ivec2 parts = ivec2(1);
     vec3 along = vec3(0.0), beside = vec3(0.0);
+    vec2 foot = vec2(0.0), heights = vec2(1.0), from = vec2(0.0), until = vec2(0.0);
+    float side_length = sqrt(node.area);
     if (node.first < 0 && look.along > 0.5) {
-      float side_length = sqrt(node.area);
-      float nearest = max(abs(dot(look.axis, offset)), d - 0.7 * side_length);
-      parts = int(clamp(ceil(PS_FINENESS * side_length / max(nearest, 1e-30)), 1.0, float(PS_MOST_PARTS)));
       vec3 f = look.axis;
       along = normalize(abs(f.z) < 0.7 ? vec3(f.y, -f.x, 0.0) : vec3(0.0, f.z, -f.y));
-      beside = cross(f, along) * side_length;
-      along *= side_length;
+      beside = cross(f, along);
+      foot = -vec2(dot(offset, along), dot(offset, beside));
+      vec2 off = max(abs(foot) - 0.5 * side_length, 0.0);
+      float above_it = max(abs(dot(f, offset)), PS_LEAST_HEIGHT * side_length);
+      heights = sqrt(above_it * above_it + off.yx * off.yx);
+      from = asinh((-0.5 * side_length - foot) / heights);
+      until = asinh((0.5 * side_length - foot) / heights);
+      parts = ivec2(clamp(ceil(PS_FINENESS * (until - from)), 1.0, float(PS_MOST_PARTS)));
     }
-    float area = node.area / float(parts * parts);
-    for (int part = 0; part < parts * parts; part++) {
-      vec2 where = (vec2(part % parts, part / parts) + 0.5) / float(parts) - 0.5;
+    for (int part = 0; part < parts.x * parts.y; part++) {
+      vec2 number = vec2(part % parts.x, part / parts.x);
+      vec2 low = heights * sinh(mix(from, until, number / vec2(parts)));
+      vec2 high = heights * sinh(mix(from, until, (number + 1.0) / vec2(parts)));
+      bool whole_leaf = parts.x * parts.y == 1;
+      vec2 where = whole_leaf ? vec2(0.0) : foot + 0.5 * (low + high), sides = high - low;
+      float area = whole_leaf ? node.area : sides.x * sides.y;
       vec3 to = offset + where.x * along + where.y * beside;
-      float rises = dot(to, n), of_part = tilt / float(parts);
+      float rises = dot(to, n), of_part = whole_leaf ? tilt : tilt * max(sides.x, sides.y) / side_length;
       float top = rises + of_part;
       if (top <= 0.0) {
         continue;
