@@ -21,11 +21,16 @@
 // How large nodes may be whose surfaces are turned to all sides, over those that are flat: one mean radiance stands for all.
 #define PS_TURNED 0.25
 #define PS_ABOVE 0.05  // radii of a leaf above the receiver's plane from which on it is seen
+#define PS_HIDES 2.0
+#define PS_OUTSIDE 4.0
+#define PS_BESIDE 1.2  // times farther away
 #define PS_SKY_ROUGHNESS 0.4  // of the world's picture that is as blurred as a cell is wide
 
 float ps_covered[PS_CELLS * PS_CELLS];  // share of the cell
 float ps_weight[PS_CELLS * PS_CELLS];  // of what covers it: solid angle times cosine
 vec3 ps_light[PS_CELLS * PS_CELLS];  // that comes from what covers it, times solid angle and cosine
+float ps_fronts = 0.0, ps_backs = 0.0;  // solid angles of surfaces that were seen from before, and from behind
+float ps_left[PS_CELLS * PS_CELLS];  // one over the distance of what is seen from behind, the latest
 float ps_inside[PS_CELLS * PS_CELLS];  // covered by surfaces that are seen from before, less those from behind
 
 // Puts the child whose octant differs from `own` by `k` on the stack.
@@ -72,10 +77,25 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   float part = overlap.x * overlap.y * share / cell;
   int i = at.y * PS_CELLS + at.x;
   // Of surfaces that a cell shows from behind, as much is hidden as it shows from before: where they are closed, by themselves.
+  // A walk does not meet all in order: fronts that come hardly farther away take the place of such backs before them.
   float entered = seen.front * part, left = seen.back * part;
-  float hidden = look.scattered ? 0.0 : min(left, ps_inside[i] + entered);
-  ps_inside[i] += look.scattered ? 0.0 : entered - hidden;
+  float shown = look.scattered ? 0.0 : (1.0 - ps_covered[i]) * cell;
+  ps_fronts += entered * shown;
+  ps_backs += left * shown;
+  float late = 0.0;
+  if (!look.scattered && ps_inside[i] < 0.0 && seen.nearness * PS_BESIDE > ps_left[i]) {
+    late = min(min(entered, -ps_inside[i]), ps_covered[i]);
+    float kept = 1.0 - late / max(ps_covered[i], 1e-30);
+    ps_covered[i] -= late;
+    ps_weight[i] *= kept;
+    ps_light[i] *= kept;
+    ps_inside[i] += late;
+  }
+  float hides = entered * (ps_fronts >= PS_OUTSIDE * ps_backs ? PS_HIDES : 1.0) - late;
+  float hidden = look.scattered ? 0.0 : min(left, max(ps_inside[i], 0.0) + hides);
   float seen_back = left - hidden, whole = entered + seen_back;
+  ps_inside[i] += look.scattered ? 0.0 : hides - left;
+  ps_left[i] = seen_back > 0.0 && !look.scattered ? seen.nearness : ps_left[i];
   float open = 1.0 - ps_covered[i], covers = look.scattered ? (1.0 - exp(-whole)) * open : min(whole, open);
   ps_covered[i] += covers;
   float weight = covers * cell * seen.direction.z;
@@ -131,6 +151,7 @@ void main()
     ps_weight[i] = 0.0;
     ps_light[i] = vec3(0.0);
     ps_inside[i] = 0.0;
+    ps_left[i] = 0.0;
   }
   PsGathered sum = PsGathered(vec3(0.0), 0.0, vec3(0.0));
   int stack[PS_STACK];
@@ -194,7 +215,7 @@ void main()
       if (top <= 0.0) {
         continue;
       }
-      float above = clamp(top / max(2.0 * of_part, 1e-30), 0.0, 1.0);
+      float above = smoothstep(0.0, max(2.0 * of_part, 1e-30), top);
       float away2 = max(dot(to, to), 1e-36), away = sqrt(away2);
       float signed_area = -dot(look.facing, to) / away, toward = -dot(look.axis, to) / away;
       float both = max(look.along * abs(toward) + 0.5 * (1.0 - look.along), abs(signed_area));

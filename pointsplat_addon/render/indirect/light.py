@@ -23,6 +23,7 @@ from ..passes.indirect.surfel_light import lit_surfels
 MOST_BOUNCE_RECEIVERS = 3000  # of either side, where light is gathered for further bounces
 LEAST_GAIN = 0.01  # of the light of surfels, below which what a bounce brings is the last
 THINNER = 0.25  # along the normal
+ALIKE = 0.9  # cosine between normals of surfels and of receivers next to theirs that light them, too
 SMALLEST_SHARE = 10.0  # percent of surfels that are smaller than what is told apart
 TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], np.float32) / np.float32(3**0.5)
 MOST_KNOWN = 1 << 21  # sites that are kept, of 40 bytes each
@@ -39,6 +40,19 @@ class BakedLight:
     @property
     def nbytes(self) -> int:
         return self.nodes.nbytes
+
+
+@record
+class BounceReceivers:
+    """R of N surfels, at which light is gathered for all."""
+
+    rows: np.ndarray  # (R,) int64: surfels
+    others: np.ndarray  # (4, N) int64: receivers in whose cells, or next to these, each surfel lies
+    weights: np.ndarray  # (4, N) float32, 1 together
+
+    def spread(self, found: np.ndarray) -> np.ndarray:
+        """Returns for all surfels (2, N, 3) what receivers have gathered, (2, R, 3)."""
+        return sum(found[:, other] * weight[:, None] for other, weight in zip(self.others, self.weights, strict=True))
 
 
 class KnownSites:
@@ -169,13 +183,13 @@ class _Baker:
         if bounces == 0:
             return self._with(leaving)
         direct = self._direct()
-        rows, group = self._receivers()
+        receivers = self._receivers()
         for number in range(bounces):
             check()
             if number == 0 and not self._names and not leaving.any():
                 found = np.zeros_like(direct)
             else:
-                found = self._gathered_at_surfels(leaving, rows)[:, group]
+                found = receivers.spread(self._gathered_at_surfels(leaving, receivers.rows))
             former, leaving = leaving, surfels.emission + surfels.albedo * (direct + found)
             gain = leaving - former
             of_all = leaving.sum(axis=(0, 2))
@@ -200,8 +214,7 @@ class _Baker:
             found[side, rows] += np.float32(share) * lit
         return found
 
-    def _receivers(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows (R,) of surfels that stand for all, and which of them (N,) stands for each."""
+    def _receivers(self) -> BounceReceivers:
         surfels = self._surfels
         turned = surfels.normal @ SIDE_AXES.astype(np.float32)
         face = np.abs(turned).argmax(axis=1)
@@ -214,7 +227,8 @@ class _Baker:
         away = surfels.position - surfels.position.min(axis=0)
         scale = max((np.count_nonzero(~surfels.closed) + len(surfels)) / MOST_BOUNCE_RECEIVERS, 1.0) ** 0.5
         while True:
-            cell = np.floor(away / (scale * thin * across))
+            at = away / (scale * thin * across)
+            cell = np.floor(at)
             key = hashed(np.column_stack([cell, side, across]))
             order = np.argsort(key, kind="stable")
             new = np.append(True, key[order][1:] != key[order][:-1])
@@ -227,9 +241,33 @@ class _Baker:
         # The surfel nearest to the middle of each.
         count = np.bincount(group)
         middle = np.stack([np.bincount(group, column) / count for column in surfels.position.T], axis=1)
-        away = ((surfels.position - middle[group]) ** 2).sum(axis=1)
-        nearest = np.lexsort((away, group))
-        return nearest[np.cumsum(count) - count], group
+        off = ((surfels.position - middle[group]) ** 2).sum(axis=1)
+        rows = np.lexsort((off, group))[np.cumsum(count) - count]
+        return self._with_neighbours(rows, group, key[order][new], at, face, np.column_stack([side, across]))
+
+    def _with_neighbours(
+        self, rows: np.ndarray, group: np.ndarray, keys: np.ndarray, at: np.ndarray, face: np.ndarray, kind: np.ndarray
+    ) -> BounceReceivers:
+        """Receivers `rows` (R,) of cells with keys (R,), rising, to which surfels of groups (N,) belong. `at` (N, 3):
+        places in cells, in faces (N,) across the axes; `kind` (N, 2): what keys hold beside cells."""
+        normal, number = self._surfels.normal, np.arange(len(group))
+        ahead = np.where(at - np.floor(at) < 0.5, -1.0, 1.0)
+        apart = np.abs(at - np.floor(at) - 0.5)
+        first, second = (face + 1) % 3, (face + 2) % 3
+        others, weights = [group], [(1 - apart[number, first]) * (1 - apart[number, second])]
+        for steps in ((first,), (second,), (first, second)):
+            cell, weight = np.floor(at), np.ones(len(group))
+            for axis in (first, second):
+                moved = any(axis is step for step in steps)
+                cell[number, axis] += ahead[number, axis] if moved else 0
+                weight *= apart[number, axis] if moved else 1 - apart[number, axis]
+            wanted = hashed(np.column_stack([cell, kind]))
+            found = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+            alike = (normal * normal[rows[found]]).sum(axis=1)
+            others.append(found)
+            weights.append(np.where((keys[found] == wanted) & (alike > ALIKE), weight, 0.0))
+        total = np.stack(weights)
+        return BounceReceivers(rows, np.stack(others), (total / total.sum(axis=0)).astype(np.float32))
 
     def _gathered_at_surfels(self, leaving: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """(2, R, 3): irradiance over pi by sky and surfels, outside and inside, at the surfels `rows`."""
