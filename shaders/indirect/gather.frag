@@ -22,7 +22,7 @@
 #define PS_TURNED 0.25
 #define PS_ABOVE 0.05  // radii of a leaf above the receiver's plane from which on it is seen
 #define PS_HIDES 2.0
-#define PS_OUTSIDE 4.0
+#define PS_OUTSIDE 2.0
 #define PS_BESIDE 1.2  // times farther away
 #define PS_SKY_ROUGHNESS 0.4  // of the world's picture that is as blurred as a cell is wide
 
@@ -184,22 +184,31 @@ void main()
     if (height + tilt <= PS_ABOVE * node.radius) {
       continue;
     }
-    // A leaf that is near is a square, of which parts are looked at, the smaller the nearer they are: x = h sinh(t) has
+    // A leaf that is near is a rectangle, of which parts are looked at, the smaller the nearer they are: x = h sinh(t) has
     // steps of t that look alike from a height h above 0.
     ivec2 parts = ivec2(1);
     vec3 along = vec3(0.0), beside = vec3(0.0);
     vec2 foot = vec2(0.0), heights = vec2(1.0), from = vec2(0.0), until = vec2(0.0);
+    vec2 half_sides = vec2(0.0);
+    vec3 middle = offset;
+    bool triangle = false;
     float side_length = sqrt(node.area);
     if (node.first < 0 && look.along > 0.5) {
       vec3 f = look.axis;
-      along = normalize(abs(f.z) < 0.7 ? vec3(f.y, -f.x, 0.0) : vec3(0.0, f.z, -f.y));
+      vec3 first = normalize(abs(f.z) < 0.7 ? vec3(f.y, -f.x, 0.0) : vec3(0.0, f.z, -f.y));
+      PsLeafEdge edge = ps_leaf_edge(node);
+      along = edge.turn.x * first + edge.turn.y * cross(f, first);
       beside = cross(f, along);
-      foot = -vec2(dot(offset, along), dot(offset, beside));
-      vec2 off = max(abs(foot) - 0.5 * side_length, 0.0);
+      triangle = edge.half_of_it;
+      half_sides = (triangle ? 0.70710678 : 0.5) * side_length * vec2(edge.ratio, 1.0 / edge.ratio);
+      // The middle of a triangle is a third of a half side away from that of its rectangle.
+      middle += triangle ? (half_sides.x * along + half_sides.y * beside) / 3.0 : vec3(0.0);
+      foot = -vec2(dot(middle, along), dot(middle, beside));
+      vec2 off = max(abs(foot) - half_sides, 0.0);
       float above_it = max(abs(dot(f, offset)), PS_LEAST_HEIGHT * side_length);
       heights = sqrt(above_it * above_it + off.yx * off.yx);
-      from = asinh((-0.5 * side_length - foot) / heights);
-      until = asinh((0.5 * side_length - foot) / heights);
+      from = asinh((-half_sides - foot) / heights);
+      until = asinh((half_sides - foot) / heights);
       parts = ivec2(clamp(ceil(PS_FINENESS * (until - from)), 1.0, float(PS_MOST_PARTS)));
     }
     for (int part = 0; part < parts.x * parts.y; part++) {
@@ -207,9 +216,15 @@ void main()
       vec2 low = heights * sinh(mix(from, until, number / vec2(parts)));
       vec2 high = heights * sinh(mix(from, until, (number + 1.0) / vec2(parts)));
       bool whole_leaf = parts.x * parts.y == 1;
-      vec2 where = whole_leaf ? vec2(0.0) : foot + 0.5 * (low + high), sides = high - low;
+      vec2 where = foot + 0.5 * (low + high), sides = high - low;
       float area = whole_leaf ? node.area : sides.x * sides.y;
-      vec3 to = offset + where.x * along + where.y * beside;
+      if (triangle && !whole_leaf) {
+        // What of the part lies within the triangle.
+        float begins = dot((foot + low) / half_sides + 1.0, vec2(0.5)), ends = dot((foot + high) / half_sides + 1.0, vec2(0.5));
+        float within = clamp((1.0 - begins) / (ends - begins), 0.0, 1.0);
+        area *= within < 0.5 ? 2.0 * within * within : 1.0 - 2.0 * (1.0 - within) * (1.0 - within);
+      }
+      vec3 to = whole_leaf ? offset : middle + where.x * along + where.y * beside;
       float rises = dot(to, n), of_part = whole_leaf ? tilt : tilt * max(sides.x, sides.y) / side_length;
       float top = rises + of_part;
       if (top <= 0.0) {

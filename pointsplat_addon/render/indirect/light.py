@@ -221,7 +221,8 @@ class _Baker:
         side = 2 * face + (turned[np.arange(len(face)), face] < 0)
         # Surfels are the larger the farther off they are, and so are the cells that share a receiver. These are
         # flat, thin along the axis that normals are turned to, so that surfaces behind one another do not share one.
-        size = np.sqrt(np.maximum(surfels.area, np.percentile(surfels.area, SMALLEST_SHARE)))
+        whole = surfels.area * np.where(surfels.half, 2, 1)
+        size = np.sqrt(np.maximum(whole, np.percentile(whole, SMALLEST_SHARE)))
         across = np.exp2(np.ceil(np.log2(size)))[:, None]
         thin = np.where(np.abs(SIDE_AXES.T[face]) > 0.5, THINNER, 1.0)
         away = surfels.position - surfels.position.min(axis=0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...core.indirect.closed import is_closed
 from ...core.indirect.sampling import LightSamples, light_samples
-from ...core.indirect.surfels import Surfels
+from ...core.indirect.surfels import Surfels, joined
 from ...core.light.bsdf import relative_index, sample_reflectance_table
 from ...core.lod.foliage import is_foliage
 from ...core.scene.camera import Camera
@@ -76,9 +76,7 @@ def scene_surfels(
                 found.append(part)
     if not found:
         return None
-    names = ("position", "normal", "area", "closed", "scattered", "albedo", "emission")
-    joined = [np.concatenate([getattr(part, name) for part in found]) for name in names]
-    whole = Surfels(origin, *joined)
+    whole = replace(joined(found), origin=origin)
     sound = np.isfinite(whole.position).all(axis=1) & np.isfinite(whole.area) & (whole.area > 0)
     sound &= np.isfinite(whole.normal).all(axis=1)
     return whole if sound.all() else (whole.take(np.flatnonzero(sound)) if sound.any() else None)
@@ -124,7 +122,11 @@ def _of_mesh(
     moved = replace(mesh, position=(mesh.position @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32))
     made = light_samples(moved, spacing)
     if np.linalg.det(matrix[:3, :3]) < 0:
-        made = replace(made, normal=-made.normal)  # mirrored triangles run the other way round
+        # Mirrored triangles run the other way round: their other side comes first.
+        other = np.cross(made.normal, made.edge)
+        length = np.maximum((made.edge**2).sum(axis=1), 1e-300)
+        other *= (made.area * np.where(made.half, 2, 1) / length)[:, None]
+        made = replace(made, normal=-made.normal, edge=other)
     return _with_look(mesh, table, made, kind)
 
 
@@ -159,6 +161,7 @@ def _moved(surfels: Surfels, matrices: np.ndarray) -> Surfels:
         surfels.origin, position.reshape(-1, 3).astype(np.float32), normal.reshape(-1, 3).astype(np.float32),
         (surfels.area * grown).reshape(-1).astype(np.float32), closed, scattered,
         np.tile(surfels.albedo, (count, 1)), np.tile(surfels.emission, (count, 1)),
+        (surfels.edge @ linear.transpose(0, 2, 1)).reshape(-1, 3).astype(np.float32), np.tile(surfels.half, count),
     )  # fmt: skip
 
 
@@ -170,9 +173,11 @@ def _with_look(mesh: Mesh, table: MaterialTable, made: LightSamples, kind: tuple
     assert cloud.value is not None
     kept = cloud.value.astype(np.int64)
     albedo, emission = _look(cloud, table)
-    position, normal, area = (of[kept].astype(np.float32) for of in (made.position, made.normal, made.area))
+    of_mesh = made.position, made.normal, made.area, made.edge
+    position, normal, area, edge = (of[kept].astype(np.float32) for of in of_mesh)
+    half = made.half[kept]
     closed, scattered = (np.full(len(kept), flag) for flag in kind)
-    return Surfels(np.zeros(3), position, normal, area, closed, scattered, albedo, emission)
+    return Surfels(np.zeros(3), position, normal, area, closed, scattered, albedo, emission, edge, half)
 
 
 def _of_cloud(cloud: PointCloud, table: MaterialTable, matrix: np.ndarray, spacing: Spacing) -> Surfels:
@@ -194,7 +199,8 @@ def _of_cloud(cloud: PointCloud, table: MaterialTable, matrix: np.ndarray, spaci
     stands_for *= area.sum() / stands_for.sum()
     local = Surfels(
         np.zeros(3), position[rows].astype(np.float32), normal, stands_for.astype(np.float32),
-        np.full(count, not flat), np.zeros(count, bool), albedo, emission,
+        np.full(count, not flat), np.zeros(count, bool), albedo, emission, np.zeros((count, 3), np.float32),
+        np.zeros(count, bool),
     )  # fmt: skip
     return _moved(local, matrix[None])
 
@@ -233,6 +239,8 @@ def _of_strands(strands: Strands, table: MaterialTable, matrix: np.ndarray, spac
         np.ones(count, bool),
         albedo,
         emission,
+        np.zeros((count, 3), np.float32),
+        np.zeros(count, bool),
     )
     return _moved(local, matrix[None])
 
@@ -244,8 +252,8 @@ def _scale(matrices: np.ndarray) -> np.ndarray:
 
 def _none() -> Surfels:
     f = np.float32
-    empty = np.zeros((0, 3), f)
-    return Surfels(np.zeros(3), empty, empty, np.zeros(0, f), np.zeros(0, bool), np.zeros(0, bool), empty, empty)
+    empty, no = np.zeros((0, 3), f), np.zeros(0, bool)
+    return Surfels(np.zeros(3), empty, empty, np.zeros(0, f), no, no, empty, empty, empty, no)
 
 
 def _look(cloud: PointCloud, table: MaterialTable) -> tuple[np.ndarray, np.ndarray]:
