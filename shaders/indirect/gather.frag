@@ -21,9 +21,9 @@
 // How large nodes may be whose surfaces are turned to all sides, over those that are flat: one mean radiance stands for all.
 #define PS_TURNED 0.25
 #define PS_ABOVE 0.05  // radii of a leaf above the receiver's plane from which on it is seen
-#define PS_HIDES 2.0
-#define PS_OUTSIDE 2.0
-#define PS_BESIDE 1.2  // times farther away
+#define PS_OUTSIDE 2.0  // fronts over backs that a receiver has seen, from which on it lies outside of things
+#define PS_HIDES 2.0  // of backs, over what is shown of fronts, that are hidden there
+#define PS_BESIDE 1.2  // times farther away than backs, up to which fronts take their place
 #define PS_SKY_ROUGHNESS 0.4  // of the world's picture that is as blurred as a cell is wide
 
 float ps_covered[PS_CELLS * PS_CELLS];  // share of the cell
@@ -77,6 +77,7 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   float part = overlap.x * overlap.y * share / cell;
   int i = at.y * PS_CELLS + at.x;
   // Of surfaces that a cell shows from behind, as much is hidden as it shows from before: where they are closed, by themselves.
+  // Receivers that see mostly fronts lie outside of things: as their cells show fronts and backs unevenly, more is hidden there.
   // A walk does not meet all in order: fronts that come hardly farther away take the place of such backs before them.
   float entered = seen.front * part, left = seen.back * part;
   float shown = look.scattered ? 0.0 : (1.0 - ps_covered[i]) * cell;

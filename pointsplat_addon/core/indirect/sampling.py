@@ -19,8 +19,9 @@ from ..numeric.vectors import cross, dot
 from ..scene.mesh import Mesh, triangle_corners
 from ..surface.samples import Samples
 
-BIGGEST_PART = 0.5  # of its distance: the longest edge of what one spacing holds for
+BIGGEST_PART = 0.4  # of its distance: the longest edge of what one spacing holds for
 LARGEST = 1.25  # samples that a piece may be worth
+SMALLEST = 0.3  # and below which even parts of triangles are taken together
 MOST_CUTS = 24  # times that a triangle is halved
 MOST_PARTS = 1 << 20  # of all triangles of a mesh
 SLIVER = 8.0  # square of the longest edge over the area, from which on a triangle is cut to the length of its samples
@@ -72,7 +73,7 @@ def light_samples(mesh: Mesh, spacing: Spacing) -> LightSamples:
     worth = area / np.maximum(apart, 1e-300) ** 2  # samples
     # Parts of triangles that were cut tile these; what is taken together does not.
     cut = np.bincount(parts.triangle, minlength=len(mesh.triangles))[parts.triangle] > 1
-    split_up = (worth > 1.0) | (cut & (area > 0))
+    split_up = (worth > 1.0) | (cut & (worth > SMALLEST))
     many, few = np.flatnonzero(split_up), np.flatnonzero(~split_up & (area > 0))
     split = _split(parts.take(many), corners[:, :, many], worth[many])
     pieces = area[many][split.own] * split.share

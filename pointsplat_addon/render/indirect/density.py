@@ -15,7 +15,8 @@ from ..cache.keys import digest
 
 PIXELS = 6.0  # between surfels, on average
 NEAR = 1.5  # radii from the middle of an instance, within which it is large: the camera sees parts of it from near
-LEAST = 0.5  # radii of an instance: nothing of it counts as nearer
+LEAST = 0.7  # radii of an instance: nothing of it counts as nearer
+MEAN = 0.5  # radii before the middle of an instance that is not large: all of it counts as that far away
 SHOWS = 0.1  # radius over distance of what the size of cells depends on
 GROWTH = 0.1  # of the distance from smaller things, by which surfels around them are farther apart
 MOST_SMALL = 64  # of these that are looked at
@@ -45,7 +46,7 @@ class Density:
             self._large = away < NEAR * self._radius
             self._least = np.maximum(LEAST * self._radius, step)
             # (I,): evenly, where an instance is not large.
-            self.apart = self._scale * np.maximum(away - self._radius, self._least)
+            self.apart = self._scale * np.maximum(away - MEAN * self._radius, self._least)
         by_size = np.flatnonzero(~self._large)
         self._small = by_size[np.argsort(-self._radius[by_size], kind="stable")]
 

@@ -52,7 +52,10 @@ class BounceReceivers:
 
     def spread(self, found: np.ndarray) -> np.ndarray:
         """Returns for all surfels (2, N, 3) what receivers have gathered, (2, R, 3)."""
-        return sum(found[:, other] * weight[:, None] for other, weight in zip(self.others, self.weights, strict=True))
+        whole = np.zeros((2, self.others.shape[1], 3), np.float32)
+        for other, weight in zip(self.others, self.weights, strict=True):
+            whole += found[:, other] * weight[:, None]
+        return whole
 
 
 class KnownSites:

@@ -12,9 +12,10 @@ def random_surfels(count: int, seed: int = 1) -> Surfels:
     normal = rng.normal(size=(count, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     f = np.float32
+    none = np.zeros((count, 3), f)
     return Surfels(
         np.zeros(3), rng.normal(size=(count, 3)).astype(f), normal.astype(f), rng.uniform(0.5, 2, count).astype(f),
-        np.ones(count, bool), rng.uniform(size=count) < 0.3, *np.zeros((3, count, 3), f), np.zeros(count, bool),
+        np.ones(count, bool), rng.uniform(size=count) < 0.3, none, none, none, np.zeros(count, bool),
     )  # fmt: skip
 
 
