@@ -90,10 +90,10 @@ class IndirectLight:
         """`names`: PS_ names of the world."""
         self._device, self._names = device, names
         self.origin = baked.origin
-        self._nodes = paged_texture(device, baked.nodes, NODE_WIDTH)
+        self._baked: BakedLight | None = baked  # until something is gathered
         self._root = len(baked.nodes) - 1
-        table = light_texture((), world, np.eye(4))
-        self._world = device.texture((table.shape[1], table.shape[0]), "RGBA32F", table.reshape(-1))
+        self._table = light_texture((), world, np.eye(4))
+        self._textures: dict[str, Texture] = {}
         self.known = KnownSites()
 
     @property
@@ -129,7 +129,7 @@ class IndirectLight:
         receivers = receiver_texture(device, *laid)
         program = gather_program(self._names, glossy, cells)
         record = GATHER_BLOCK.record(root=self._root, coarseness=COARSENESS)
-        textures = {"ps_nodes": self._nodes, **({"ps_lights": self._world} if self._names else {}), **sky}
+        textures = self._uploaded() | sky
         wanted = {name for _, name in program.samplers}
         textures = {name: texture for name, texture in textures.items() if name in wanted}
         made = Gather(device, receivers, program, record, textures)
@@ -140,10 +140,22 @@ class IndirectLight:
             made.release()
             receivers.release()
 
+    def _uploaded(self) -> dict[str, Texture]:
+        """The nodes and the world's colour, by sampler name."""
+        if self._baked is not None:
+            device, table = self._device, self._table
+            self._textures["ps_nodes"] = paged_texture(device, self._baked.nodes, NODE_WIDTH)
+            self._baked = None
+            if self._names:
+                lights = device.texture((table.shape[1], table.shape[0]), "RGBA32F", table.reshape(-1))
+                self._textures["ps_lights"] = lights
+        return self._textures
+
     def release(self) -> None:
         """Frees what is on the device."""
-        self._nodes.release()
-        self._world.release()
+        for texture in self._textures.values():
+            texture.release()
+        self._textures = {}
 
 
 def bake_light(

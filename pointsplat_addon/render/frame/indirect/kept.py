@@ -51,9 +51,12 @@ def kept_light(
         surfels = scene_surfels(scene, density, origin, store, check)
         if surfels is None:
             return BakedLight(origin, np.zeros((0, 16), np.float32))
-        shift = np.eye(4)
-        shift[:3, 3] = -origin
-        return bake_light(device, scene, surfels, lighting, light.textures_for_all_cameras(shift), bounces, check)
+        textures = light.textures
+        if scene.lights and bounces > 0:
+            shift = np.eye(4)
+            shift[:3, 3] = -origin
+            textures = light.textures_for_all_cameras(shift)
+        return bake_light(device, scene, surfels, lighting, textures, bounces, check)
 
     def make() -> IndirectLight:
         baked = light.on_disk.lookup(key, bake, FORM, device.limits.driver)
