@@ -14,7 +14,7 @@ from ...passes.uniforms import SampleView
 
 TURNS = 2  # steps of normals along each axis, either way
 ALIKE = 0.95  # cosine between normals of a receiver and of what the picture shows where its cell's middle is
-SAME_PLANE = 0.1  # edges that this may lie off that
+SAME_PLANE, SUNK = 0.1, 0.01  # edges that the middle may lie above that, and below: in hollows it would be in the dark
 WIDEST = 1.5  # edges of cells over the side of the squares of pixels that they stand for, at most; half of it at least
 
 
@@ -57,9 +57,9 @@ def sites_of(groups: Groups, rows: np.ndarray, level: np.ndarray, view: SampleVi
     within = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     other = sole[np.where(within, row * width + column, 0).astype(np.int64)]
     within &= other >= 0
-    off = np.abs(((middle.position - groups.position[other]) * groups.normal[other]).sum(axis=1))
+    off = ((middle.position - groups.position[other]) * groups.normal[other]).sum(axis=1) / np.exp2(level)
     alike = (groups.normal[other] * normal).sum(axis=1) > ALIKE
-    return middle.take(within & alike & (off < SAME_PLANE * np.exp2(level)), near)
+    return middle.take(within & alike & (off > -SUNK) & (off < SAME_PLANE), near)
 
 
 def sole_groups(groups: Groups, view: SampleView) -> np.ndarray:
