@@ -15,6 +15,7 @@
 #define PS_FINENESS (0.375 * float(PS_CELLS))  // parts of a near leaf along its side, for each step of t
 #define PS_MOST_PARTS (PS_CELLS * 3 / 2)
 #define PS_LEAST_HEIGHT 0.003  // sides of a leaf, above which a receiver is at least
+#define PS_LEAST_OF_ROUGH 0.25  // the same, where the leaf only stands for surfaces near it
 // Squares of pieces tile cells unevenly: above the first share of a cell, what is open is closed faster, so many times.
 #define PS_GAPS 0.9
 #define PS_TIGHTENED 3.0
@@ -206,7 +207,8 @@ void main()
       middle += triangle ? (half_sides.x * along + half_sides.y * beside) / 3.0 : vec3(0.0);
       foot = -vec2(dot(middle, along), dot(middle, beside));
       vec2 off = max(abs(foot) - half_sides, 0.0);
-      float above_it = max(abs(dot(f, offset)), PS_LEAST_HEIGHT * side_length);
+      float least = node.first == -1 ? PS_LEAST_OF_ROUGH : PS_LEAST_HEIGHT;
+      float above_it = max(abs(dot(f, offset)), least * side_length);
       heights = sqrt(above_it * above_it + off.yx * off.yx);
       from = asinh((-half_sides - foot) / heights);
       until = asinh((half_sides - foot) / heights);
