@@ -12,19 +12,26 @@
 
 #define PS_STACK 128
 #define PS_MOST_NODES 20000  // that a walk opens: software rasterisers end all loops together after 65,535 turns
-#define PS_FINENESS (0.375 * float(PS_CELLS))  // parts of a near leaf along its side, times how far away it is, over that
+#define PS_FINENESS (0.375 * float(PS_CELLS))  // parts of a near leaf along its side, for each step of t
 #define PS_MOST_PARTS (PS_CELLS * 3 / 2)
+#define PS_LEAST_HEIGHT 0.003  // sides of a leaf, above which a receiver is at least
+#define PS_LEAST_OF_ROUGH 0.25  // the same, where the leaf only stands for surfaces near it
 // Squares of pieces tile cells unevenly: above the first share of a cell, what is open is closed faster, so many times.
 #define PS_GAPS 0.9
 #define PS_TIGHTENED 3.0
 // How large nodes may be whose surfaces are turned to all sides, over those that are flat: one mean radiance stands for all.
 #define PS_TURNED 0.25
 #define PS_ABOVE 0.05  // radii of a leaf above the receiver's plane from which on it is seen
+#define PS_OUTSIDE 2.0  // fronts over backs that a receiver has seen, from which on it lies outside of things
+#define PS_HIDES 2.0  // of backs, over what is shown of fronts, that are hidden there
+#define PS_BESIDE 1.2  // times farther away than backs, up to which fronts take their place
 #define PS_SKY_ROUGHNESS 0.4  // of the world's picture that is as blurred as a cell is wide
 
 float ps_covered[PS_CELLS * PS_CELLS];  // share of the cell
 float ps_weight[PS_CELLS * PS_CELLS];  // of what covers it: solid angle times cosine
 vec3 ps_light[PS_CELLS * PS_CELLS];  // that comes from what covers it, times solid angle and cosine
+float ps_fronts = 0.0, ps_backs = 0.0;  // solid angles of surfaces that were seen from before, and from behind
+float ps_left[PS_CELLS * PS_CELLS];  // one over the distance of what is seen from behind, the latest
 float ps_inside[PS_CELLS * PS_CELLS];  // covered by surfaces that are seen from before, less those from behind
 
 // Puts the child whose octant differs from `own` by `k` on the stack.
@@ -71,10 +78,26 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   float part = overlap.x * overlap.y * share / cell;
   int i = at.y * PS_CELLS + at.x;
   // Of surfaces that a cell shows from behind, as much is hidden as it shows from before: where they are closed, by themselves.
+  // Receivers that see mostly fronts lie outside of things: as their cells show fronts and backs unevenly, more is hidden there.
+  // A walk does not meet all in order: fronts that come hardly farther away take the place of such backs before them.
   float entered = seen.front * part, left = seen.back * part;
-  float hidden = look.scattered ? 0.0 : min(left, ps_inside[i] + entered);
-  ps_inside[i] += look.scattered ? 0.0 : entered - hidden;
+  float shown = look.scattered ? 0.0 : (1.0 - ps_covered[i]) * cell;
+  ps_fronts += entered * shown;
+  ps_backs += left * shown;
+  float late = 0.0;
+  if (!look.scattered && ps_inside[i] < 0.0 && seen.nearness * PS_BESIDE > ps_left[i]) {
+    late = min(min(entered, -ps_inside[i]), ps_covered[i]);
+    float kept = 1.0 - late / max(ps_covered[i], 1e-30);
+    ps_covered[i] -= late;
+    ps_weight[i] *= kept;
+    ps_light[i] *= kept;
+    ps_inside[i] += late;
+  }
+  float hides = entered * (ps_fronts >= PS_OUTSIDE * ps_backs ? PS_HIDES : 1.0) - late;
+  float hidden = look.scattered ? 0.0 : min(left, max(ps_inside[i], 0.0) + hides);
   float seen_back = left - hidden, whole = entered + seen_back;
+  ps_inside[i] += look.scattered ? 0.0 : hides - left;
+  ps_left[i] = seen_back > 0.0 && !look.scattered ? seen.nearness : ps_left[i];
   float open = 1.0 - ps_covered[i], covers = look.scattered ? (1.0 - exp(-whole)) * open : min(whole, open);
   ps_covered[i] += covers;
   float weight = covers * cell * seen.direction.z;
@@ -130,6 +153,7 @@ void main()
     ps_weight[i] = 0.0;
     ps_light[i] = vec3(0.0);
     ps_inside[i] = 0.0;
+    ps_left[i] = 0.0;
   }
   PsGathered sum = PsGathered(vec3(0.0), 0.0, vec3(0.0));
   int stack[PS_STACK];
@@ -162,28 +186,54 @@ void main()
     if (height + tilt <= PS_ABOVE * node.radius) {
       continue;
     }
-    // A leaf that is near is a square, of which parts are looked at.
-    int parts = 1;
+    // A leaf that is near is a rectangle, of which parts are looked at, the smaller the nearer they are: x = h sinh(t) has
+    // steps of t that look alike from a height h above 0.
+    ivec2 parts = ivec2(1);
     vec3 along = vec3(0.0), beside = vec3(0.0);
+    vec2 foot = vec2(0.0), heights = vec2(1.0), from = vec2(0.0), until = vec2(0.0);
+    vec2 half_sides = vec2(0.0);
+    vec3 middle = offset;
+    bool triangle = false;
+    float side_length = sqrt(node.area);
     if (node.first < 0 && look.along > 0.5) {
-      float side_length = sqrt(node.area);
-      float nearest = max(abs(dot(look.axis, offset)), d - 0.7 * side_length);
-      parts = int(clamp(ceil(PS_FINENESS * side_length / max(nearest, 1e-30)), 1.0, float(PS_MOST_PARTS)));
       vec3 f = look.axis;
-      along = normalize(abs(f.z) < 0.7 ? vec3(f.y, -f.x, 0.0) : vec3(0.0, f.z, -f.y));
-      beside = cross(f, along) * side_length;
-      along *= side_length;
+      vec3 first = normalize(abs(f.z) < 0.7 ? vec3(f.y, -f.x, 0.0) : vec3(0.0, f.z, -f.y));
+      PsLeafEdge edge = ps_leaf_edge(node);
+      along = edge.turn.x * first + edge.turn.y * cross(f, first);
+      beside = cross(f, along);
+      triangle = edge.half_of_it;
+      half_sides = (triangle ? 0.70710678 : 0.5) * side_length * vec2(edge.ratio, 1.0 / edge.ratio);
+      // The middle of a triangle is a third of a half side away from that of its rectangle.
+      middle += triangle ? (half_sides.x * along + half_sides.y * beside) / 3.0 : vec3(0.0);
+      foot = -vec2(dot(middle, along), dot(middle, beside));
+      vec2 off = max(abs(foot) - half_sides, 0.0);
+      float least = node.first == -1 ? PS_LEAST_OF_ROUGH : PS_LEAST_HEIGHT;
+      float above_it = max(abs(dot(f, offset)), least * side_length);
+      heights = sqrt(above_it * above_it + off.yx * off.yx);
+      from = asinh((-half_sides - foot) / heights);
+      until = asinh((half_sides - foot) / heights);
+      parts = ivec2(clamp(ceil(PS_FINENESS * (until - from)), 1.0, float(PS_MOST_PARTS)));
     }
-    float area = node.area / float(parts * parts);
-    for (int part = 0; part < parts * parts; part++) {
-      vec2 where = (vec2(part % parts, part / parts) + 0.5) / float(parts) - 0.5;
-      vec3 to = offset + where.x * along + where.y * beside;
-      float rises = dot(to, n), of_part = tilt / float(parts);
+    for (int part = 0; part < parts.x * parts.y; part++) {
+      vec2 number = vec2(part % parts.x, part / parts.x);
+      vec2 low = heights * sinh(mix(from, until, number / vec2(parts)));
+      vec2 high = heights * sinh(mix(from, until, (number + 1.0) / vec2(parts)));
+      bool whole_leaf = parts.x * parts.y == 1;
+      vec2 where = foot + 0.5 * (low + high), sides = high - low;
+      float area = whole_leaf ? node.area : sides.x * sides.y;
+      if (triangle && !whole_leaf) {
+        // What of the part lies within the triangle.
+        float begins = dot((foot + low) / half_sides + 1.0, vec2(0.5)), ends = dot((foot + high) / half_sides + 1.0, vec2(0.5));
+        float within = clamp((1.0 - begins) / (ends - begins), 0.0, 1.0);
+        area *= within < 0.5 ? 2.0 * within * within : 1.0 - 2.0 * (1.0 - within) * (1.0 - within);
+      }
+      vec3 to = whole_leaf ? offset : middle + where.x * along + where.y * beside;
+      float rises = dot(to, n), of_part = whole_leaf ? tilt : tilt * max(sides.x, sides.y) / side_length;
       float top = rises + of_part;
       if (top <= 0.0) {
         continue;
       }
-      float above = clamp(top / max(2.0 * of_part, 1e-30), 0.0, 1.0);
+      float above = smoothstep(0.0, max(2.0 * of_part, 1e-30), top);
       float away2 = max(dot(to, to), 1e-36), away = sqrt(away2);
       float signed_area = -dot(look.facing, to) / away, toward = -dot(look.axis, to) / away;
       float both = max(look.along * abs(toward) + 0.5 * (1.0 - look.along), abs(signed_area));
@@ -227,7 +277,7 @@ void main()
 #elif defined(PS_HAS_ENVIRONMENT)
       for (int k = 0; k < (left > 0.0 ? 1 : 0); k++) {
         vec3 world = direction.x * tangent + direction.y * across + direction.z * n;
-        sky = ps_environment_radiance(ps_image_from_view(mat3(u.view_from_world) * world), PS_SKY_ROUGHNESS);
+        sky = ps_environment_radiance(ps_image_from_view(world), PS_SKY_ROUGHNESS);
       }
 #endif
       sum.diffuse += sky * left_weight;

@@ -1,6 +1,6 @@
 // Where the groups of a list are, and how they are turned, in the space of the light tree: one texel a group.
 //   out_place: position; depth in the view, 0: no group
-//   out_up: normal of the side that is seen; roughness
+//   out_up: normal of the side that is seen; roughness, -1 where nothing is mirrored
 
 #include "lib/geometry/camera.glsl"
 #include "lib/geometry/surfel_kind.glsl"
@@ -31,11 +31,15 @@ void main()
     normal = -normal;
   }
   float row = shape.w < -0.5 ? -1.0 - shape.w : shape.w;
+  vec4 look = texelFetch(ps_materials, ivec2(2, int(row + 0.5)), 0);
 #ifdef PS_SURFACE
   float roughness = bent.w;
+  bool mirrors = true;
 #else
-  float roughness = texelFetch(ps_materials, ivec2(2, int(row + 0.5)), 0).y;
+  float roughness = look.y;
+  bool mirrors = look.z > 0.0 || look.w != 1.0;
 #endif
+  roughness = mirrors && !ps_is_strand(centre) ? roughness : -1.0;
   out_place = vec4(mat3(u.tree_from_view) * position, centre.x);
   out_up = vec4(mat3(u.tree_from_view) * normal, roughness);
 }

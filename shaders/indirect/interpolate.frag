@@ -7,7 +7,7 @@
 #include "lib/geometry/camera.glsl"
 #include "lib/visibility/listed.glsl"
 
-#define PS_LEAST 1e-4  // weight of a receiver of its own tile that is unlike it
+#define PS_LEAST 1e-4  // weight of a receiver that is unlike it
 #define PS_ALIKE 0.8  // cosine between normals, below which receivers do not count
 
 void main()
@@ -38,7 +38,7 @@ void main()
         float tent = max(1.0 - apart.x, 0.0) * max(1.0 - apart.y, 0.0);
         float alike = clamp((dot(up, other.xyz) - PS_ALIKE) / (1.0 - PS_ALIKE), 0.0, 1.0);
         float weight = tent * alike * max(1.0 - off, 0.0);
-        weight += x == tile.x && y == tile.y ? PS_LEAST * max(dot(up, other.xyz), 0.01) / (1.0 + off * off) : 0.0;
+        weight += PS_LEAST * max(dot(up, other.xyz), 0.01) / (1.0 + off * off);
         gathered += weight * texelFetch(ps_found_diffuse, receiver, 0);
         mirrored += weight * texelFetch(ps_found_glossy, receiver, 0);
         total += weight;

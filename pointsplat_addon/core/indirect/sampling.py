@@ -1,6 +1,7 @@
 """Samples of meshes from which light is gathered: as dense as a view needs, and denser where it looks from near.
 
-A triangle is cut into congruent parts, each with a sample in its middle, so that the samples of a surface tile it.
+A triangle is cut into congruent parallelograms, rectangles where it has a right angle, each with a sample in its
+middle, so that the samples of a surface tile it; a triangle is left at the end of each row.
 Smaller triangles are taken together, in Morton order, up to what is worth one sample, where they lie side by side and
 are turned one way: their areas add up to the whole.
 """
@@ -18,7 +19,9 @@ from ..numeric.vectors import cross, dot
 from ..scene.mesh import Mesh, triangle_corners
 from ..surface.samples import Samples
 
-BIGGEST_PART = 0.25  # of its distance: the longest edge of what one spacing holds for
+BIGGEST_PART = 0.4  # of its distance: the longest edge of what one spacing holds for
+LARGEST = 1.25  # samples that a piece may be worth
+SMALLEST = 0.3  # and below which even parts of triangles are taken together
 MOST_CUTS = 24  # times that a triangle is halved
 MOST_PARTS = 1 << 20  # of all triangles of a mesh
 SLIVER = 8.0  # square of the longest edge over the area, from which on a triangle is cut to the length of its samples
@@ -37,6 +40,10 @@ class LightSamples:
     position: np.ndarray  # (N, 3) float64
     normal: np.ndarray  # (N, 3) float64, unit
     area: np.ndarray  # (N,) float64
+    # (N, 3) float64: one side of the rectangle that it is, or of the triangle, from whose right angle the other one
+    # lies on the left; (0, 0, 0): it is neither
+    edge: np.ndarray
+    half: np.ndarray  # (N,) bool: it is a triangle
 
 
 @record
@@ -64,9 +71,12 @@ def light_samples(mesh: Mesh, spacing: Spacing) -> LightSamples:
     normal = product / np.maximum(twice, 1e-300)
     apart, _ = spacing(middle)
     worth = area / np.maximum(apart, 1e-300) ** 2  # samples
-    many, few = np.flatnonzero(worth > 1.0), np.flatnonzero((worth <= 1.0) & (area > 0))
-    split, own, position = _split(parts.take(many), corners[:, :, many], worth[many])
-    pieces = area[many][own] / np.bincount(own)[own] if len(own) else area[:0]
+    # Parts of triangles that were cut tile these; what is taken together does not.
+    cut = np.bincount(parts.triangle, minlength=len(mesh.triangles))[parts.triangle] > 1
+    split_up = (worth > 1.0) | (cut & (worth > SMALLEST))
+    many, few = np.flatnonzero(split_up), np.flatnonzero(~split_up & (area > 0))
+    split = _split(parts.take(many), corners[:, :, many], worth[many])
+    pieces = area[many][split.own] * split.share
     merged = _merged(middle[:, few], normal[:, few], area[few], worth[few])
     together = parts.take(few[merged.row])
     samples = Samples(
@@ -79,9 +89,11 @@ def light_samples(mesh: Mesh, spacing: Spacing) -> LightSamples:
     )
     return LightSamples(
         samples,
-        np.concatenate([position, merged.position]),
-        np.concatenate([normal[:, many][:, own].T, merged.normal]),
+        np.concatenate([split.position, merged.position]),
+        np.concatenate([normal[:, many][:, split.own].T, merged.normal]),
         np.concatenate([pieces, merged.area]),
+        np.concatenate([split.edge, np.zeros_like(merged.position)]),
+        np.append(split.half, np.zeros(len(merged.area), bool)),
     )
 
 
@@ -128,27 +140,40 @@ def _places(mesh: Mesh, triangle: np.ndarray, weights: np.ndarray) -> np.ndarray
 
 @record
 class _Split:
+    own: np.ndarray  # (N,) int64: of which part of a triangle each is
+    share: np.ndarray  # (N,) float64: of its area
     triangle: np.ndarray  # (N,)
     barycentric: np.ndarray  # (N, 2)
     ellipse: np.ndarray  # (N, 2, 2)
+    position: np.ndarray  # (N, 3)
+    edge: np.ndarray  # (N, 3)
+    half: np.ndarray  # (N,)
 
 
-def _split(parts: _Parts, corners: np.ndarray, worth: np.ndarray) -> tuple[_Split, np.ndarray, np.ndarray]:
-    """One sample in the middle of each of k^2 congruent parts of parts of triangles; of which part each is, (N,), and
-    where, (N, 3). corners: (3, 3, M)."""
-    k = np.ceil(np.sqrt(worth)).astype(np.int64)
-    count = k * k
+def _split(parts: _Parts, corners: np.ndarray, worth: np.ndarray) -> _Split:
+    """One sample in the middle of each piece of parts of triangles, which are worth so many samples, (M,), each.
+    corners: (3, 3, M)."""
+    # The first corner is the one with the widest angle.
+    opposite = np.stack([corners[(k + 2) % 3] - corners[(k + 1) % 3] for k in range(3)])
+    apex, rows = (opposite**2).sum(axis=1).argmax(axis=0), np.arange(len(worth))
+    weights = np.stack([parts.weights[(apex + k) % 3, :, rows].T for k in range(3)])
+    corners = np.stack([corners[(apex + k) % 3, :, rows].T for k in range(3)])
+    k = np.where(worth <= LARGEST, 1, np.ceil(np.sqrt(2 * worth / LARGEST))).astype(np.int64)
+    count = k * (k + 1) // 2
     own = owners(count, np.int64)
     number = ranges(np.zeros(len(count), np.int64), count, np.int64)
     k = k[own]
-    # Row r of a triangle of k rows holds 2 (k - r) - 1 parts: r = k - ceil(sqrt(k^2 - number)).
-    row = k - np.ceil(np.sqrt((k * k - number).astype(np.float64))).astype(np.int64)
-    place = number - row * (2 * k - row)
-    down = place & 1
-    first, second = ((place >> 1) + (1 + down) / 3) / k, (row + (1 + down) / 3) / k
-    weights, corners = parts.weights[:, :, own], corners[:, :, own]
-    middle, position = (x[0] + first * (x[1] - x[0]) + second * (x[2] - x[0]) for x in (weights, corners))
-    return _Split(parts.triangle[own], middle.T, _ellipses(weights, 1.0 / k)), own, position.T
+    # Row r holds k - r pieces, the last of which is a triangle: r k - r (r - 1) / 2 come before it.
+    row = np.floor((2 * k + 1 - np.sqrt((2.0 * k + 1) ** 2 - 8.0 * number)) / 2 + 1e-9).astype(np.int64)
+    place = number - (row * k - row * (row - 1) // 2)
+    last = place == k - row - 1
+    middle = np.where(last, 1 / 3, 0.5)
+    first, second = (place + middle) / k, (row + middle) / k
+    weights, corners = weights[:, :, own], corners[:, :, own]
+    at, position = (x[0] + first * (x[1] - x[0]) + second * (x[2] - x[0]) for x in (weights, corners))
+    edge = (corners[1] - corners[0]) / k
+    share = np.where(last, 1.0, 2.0) / (k * k)
+    return _Split(own, share, parts.triangle[own], at.T, _ellipses(weights, np.sqrt(share)), position.T, edge.T, last)
 
 
 @record

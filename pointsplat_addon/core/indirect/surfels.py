@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..numeric.record import record
+
+ARRAYS = "position", "normal", "area", "closed", "scattered", "albedo", "emission", "edge", "half"
 
 
 @record
@@ -19,11 +23,19 @@ class Surfels:
     scattered: np.ndarray  # (N,) bool: leaves and hairs, which do not tile a surface
     albedo: np.ndarray  # (N, 3) float32: share of the light that falls on it which it scatters
     emission: np.ndarray  # (N, 3) float32: radiance
+    # (N, 3) float32: one side of the rectangle that it is, or of the triangle, from whose right angle the other one
+    # lies on the left, seen from before; (0, 0, 0): any shape of about equal width
+    edge: np.ndarray
+    half: np.ndarray  # (N,) bool: it is a triangle, half of a rectangle
 
     def __len__(self) -> int:
         return len(self.area)
 
     def take(self, rows: np.ndarray) -> Surfels:
         """Returns the surfels `rows`, in their order."""
-        arrays = (self.position, self.normal, self.area, self.closed, self.scattered, self.albedo, self.emission)
-        return Surfels(self.origin, *(array[rows] for array in arrays))
+        return Surfels(self.origin, *(getattr(self, name)[rows] for name in ARRAYS))
+
+
+def joined(parts: Sequence[Surfels]) -> Surfels:
+    """Returns all surfels of at least one part; they have one origin."""
+    return Surfels(parts[0].origin, *(np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS))

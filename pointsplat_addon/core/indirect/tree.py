@@ -36,6 +36,8 @@ class LightTree:
     scattered: np.ndarray  # (M,) float32: share of the area that belongs to leaves and hairs
     first: np.ndarray  # (M,) int32: first child; -1: a leaf
     octants: np.ndarray  # (M,) uint8: which of the eight children there are, bit by bit
+    edge: np.ndarray  # (M, 3) float32: of leaves that are rectangles or triangles, as Surfels.edge; else (0, 0, 0)
+    half: np.ndarray  # (M,) bool: of leaves, as Surfels.half
     leaf: np.ndarray  # (N,) int32: the node of each surfel
     # Levels of inner nodes, deepest first: the nodes (n,), how many children each has (n,), and all of these (c,).
     levels: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]
@@ -102,7 +104,7 @@ def build_tree(surfels: Surfels) -> LightTree:
             number[several], own_sums[several], own_radii[several] = parents, merged, reach
     leaf = np.empty(len(order), np.int64)
     leaf[order] = np.cumsum(new) - 1
-    return _placed(np.concatenate(sums), np.concatenate(radii), np.concatenate(masks), levels, leaf)
+    return _placed(surfels, np.concatenate(sums), np.concatenate(radii), np.concatenate(masks), levels, leaf)
 
 
 def _columns(surfels: Surfels, order: np.ndarray) -> np.ndarray:
@@ -135,6 +137,7 @@ def _merged(sums: np.ndarray, radii: np.ndarray, count: np.ndarray) -> tuple[np.
 
 
 def _placed(
+    surfels: Surfels,
     sums: np.ndarray,
     radii: np.ndarray,
     masks: np.ndarray,
@@ -152,7 +155,11 @@ def _placed(
     means = sums[number] / sums[number, :1]
     axis, along = _axes(means[:, PRODUCTS])
     axis[(axis * means[:, NORMAL]).sum(axis=1) < 0] *= -1
-    f = np.float32
+    f, leaf = np.float32, place[leaf]
+    edge = np.zeros((len(sums), 3), f)
+    half = np.zeros(len(sums), bool)
+    edge[leaf], half[leaf] = surfels.edge, surfels.half
+    edge[np.bincount(leaf, minlength=len(sums)) > 1] = 0
     return LightTree(
         position=means[:, POSITION].astype(f),
         radius=radii[number].astype(f),
@@ -163,7 +170,9 @@ def _placed(
         scattered=means[:, SCATTERED].astype(f),
         first=first,
         octants=masks[number],
-        leaf=place[leaf].astype(np.int32),
+        edge=edge,
+        half=half,
+        leaf=leaf.astype(np.int32),
         levels=tuple((place[parents], count, place[children]) for parents, count, children in levels),
     )
 

@@ -14,8 +14,6 @@ from ...core.scene.scene import Scene
 from ...core.strand.segments import sample_offsets
 from ..device.clock import Clock
 from ..device.protocol import Texture
-from ..indirect.light import IndirectLight
-from ..indirect.surfels import scene_surfels
 from ..passes.captured.half_depth import half_depth
 from ..passes.gbuffer import GBuffer
 from ..passes.grouping.centre import CentreDepths
@@ -31,6 +29,7 @@ from ..plan.frame_plan import make_frame_plan
 from ..plan.request import Request
 from .data import DataPasses
 from .defocus import OutOfFocus, in_focus
+from .indirect.kept import kept_light
 from .indirect.light import GroupsInIndirectLight
 from .lens_samples import LensSamples
 from .resources import FrameResources
@@ -167,22 +166,17 @@ class Frame:
 
     def _indirect_light(self) -> GroupsInIndirectLight | None:
         """Returns the light that surfaces receive from each other; None where there are none."""
-        device, frame_plan, uploads = self.device, self.frame_plan, self.uploads
-        request, found = frame_plan.request, []
+        device, frame_plan, uploads, store = self.device, self.frame_plan, self.uploads, self.renderer.store
+        camera, bounces, found = frame_plan.request.camera, frame_plan.request.settings.bounces, []
+        scene, plan, check = frame_plan.scene, frame_plan.plan, self.clock.check
 
         def make() -> None:
-            scene, check = frame_plan.scene, self.clock.check
-            surfels = scene_surfels(scene, request.camera, self.renderer.store, check)
-            if surfels is not None:
-                lighting, textures = frame_plan.plan.lighting, uploads.shading
-                bounces = request.settings.bounces
-                found.append(IndirectLight(device, scene, frame_plan.view, surfels, lighting, textures, bounces, check))
+            found.append(kept_light(device, uploads, scene, camera, plan, bounces, store, check))
 
         self.clock.run("light tree", make)
-        if not found:
+        if found[0] is None:
             return None
-        light = self._own(found[0])
-        return GroupsInIndirectLight(device, light, frame_plan.plan.variant, uploads.lighting.materials["ps_materials"])
+        return GroupsInIndirectLight(device, found[0], uploads, plan.variant)
 
     # Parts
 

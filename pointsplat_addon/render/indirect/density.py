@@ -1,50 +1,80 @@
-"""How far apart surfels are: some pixels where a camera looks, and more elsewhere."""
+"""How far apart surfels are: some pixels, as seen from the middle of the cell of space in which the camera is.
+
+Small moves of the camera leave all surfels where they are, and with them the light tree. Which surfels there are
+depends on the camera of a picture alone, not on those before it.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
 from ...core.scene.camera import Camera
+from ..cache.keys import digest
 
-PIXELS = 6.0  # between surfels that the camera sees
-UNSEEN = 3.0  # times farther apart, where it does not look
+PIXELS = 6.0  # between surfels, on average
+NEAR = 1.5  # radii from the middle of an instance, within which it is large: the camera sees parts of it from near
+LEAST = 0.7  # radii of an instance: nothing of it counts as nearer
+MEAN = 0.5  # radii before the middle of an instance that is not large: all of it counts as that far away
+SHOWS = 0.1  # radius over distance of what the size of cells depends on
+GROWTH = 0.1  # of the distance from smaller things, by which surfels around them are farther apart
+MOST_SMALL = 64  # of these that are looked at
+# Of places (3, n): how far apart surfels are to be there, and how far away what that depends on is, (n,) each.
+Spacing = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 class Density:
-    """The spacing of surfels around a camera, in world space from `origin`."""
+    """The spacing of surfels on the instances of a scene."""
 
-    def __init__(self, camera: Camera, origin: np.ndarray) -> None:
-        """origin (3,) float64: what places are relative to."""
-        self._camera = camera
-        self._view = (
-            camera.view_from_world[:3, :3],
-            camera.view_from_world[:3, 3] + camera.view_from_world[:3, :3] @ origin,
-        )
-        fx, fy, cx, cy = camera.pixel_from_view()
-        self._focal, self._middle = np.array([fx, fy]), np.array([cx, cy])
-
-    def spacing(self, place: np.ndarray, margin: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """Returns for places (3, n) how far apart surfels are there, and how far away the camera is, (n,) each.
-
-        `margin`: how far around each place what lies there reaches.
-        """
-        rotation, shift = self._view
-        x, y, z = rotation @ place + shift[:, None]
-        depth = -z
-        width, height = self._camera.window[2:]
-        if not self._camera.perspective:
-            away = np.full(len(depth), np.inf)
-            size = np.full(len(depth), 1.0 / self._focal[0])
-            px, py = self._middle[0] + self._focal[0] * x, self._middle[1] + self._focal[1] * y
-            wide = margin * self._focal[0]
-            seen = np.ones(len(depth), bool)
+    def __init__(self, camera: Camera, middle: np.ndarray, half: np.ndarray) -> None:
+        """middle, half: (I, 3) float64, of boxes around the instances in world space."""
+        eye, scale = camera_place(camera), PIXELS / camera.pixel_from_view()[0]
+        self._middle, self._half = middle, half
+        self._scale = float(np.exp2(np.rint(2 * np.log2(scale)) / 2))  # a lens that zooms changes it in steps
+        self._radius = np.maximum(np.linalg.norm(half, axis=1), 1e-30)
+        if not camera.perspective:
+            self._large, self._anchor, self._least = np.zeros(len(middle), bool), np.zeros(3), self._radius
+            self.apart = np.full(len(middle), self._scale)
         else:
-            away = np.maximum(np.sqrt(x * x + y * y + z * z) - margin, 1e-30)
-            size = away / self._focal[0]
-            forward = np.maximum(depth, 1e-30)
-            px, py = self._middle[0] + self._focal[0] * x / forward, self._middle[1] + self._focal[1] * y / forward
-            wide = margin * self._focal[0] / forward
-            seen = depth > -margin
-        border = 0.1 * max(width, height) + wide
-        seen &= (px > -border) & (px < width + border) & (py > -border) & (py < height + border)
-        return PIXELS * size * np.where(seen, 1.0, UNSEEN), away
+            away = np.maximum(np.linalg.norm(middle - eye, axis=1) - self._radius, LEAST * self._radius)
+            shown = self._radius > SHOWS * away
+            nearest = float(away[shown if shown.any() else slice(None)].min(initial=np.inf))
+            step = 2.0 ** np.floor(np.log2(nearest if nearest < np.inf else 1.0))
+            self._anchor = (np.floor(eye / step) + 0.5) * step
+            away = np.linalg.norm(middle - self._anchor, axis=1)
+            self._large = away < NEAR * self._radius
+            self._least = np.maximum(LEAST * self._radius, step)
+            # (I,): evenly, where an instance is not large.
+            self.apart = self._scale * np.maximum(away - MEAN * self._radius, self._least)
+        by_size = np.flatnonzero(~self._large)
+        self._small = by_size[np.argsort(-self._radius[by_size], kind="stable")]
+
+    @property
+    def key(self) -> bytes:
+        """Equal ones mean equal surfels of equal instances."""
+        return digest((self._anchor.tobytes(), self._least.tobytes(), self._scale))
+
+    def spacing(self, row: int, origin: np.ndarray) -> Spacing:
+        """Returns the spacing on an instance, in the world from `origin`."""
+        if not self._large[row]:
+            even = self.apart[row]
+            return lambda place: (np.full(place.shape[1], even), np.full(place.shape[1], np.inf))
+        small = self._small[self._radius[self._small] < 0.5 * self._radius[row]][:MOST_SMALL].tolist()
+        anchor, least = (self._anchor - origin)[:, None], self._least[row]
+
+        def spacing(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            away = np.maximum(np.sqrt(((place - anchor) ** 2).sum(axis=0)), least)
+            apart = self._scale * away
+            for other in small:
+                outside = np.abs(place - (self._middle[other] - origin)[:, None]) - self._half[other][:, None]
+                beside = np.sqrt((np.maximum(outside, 0) ** 2).sum(axis=0)) + self.apart[other] / GROWTH
+                apart, away = np.minimum(apart, GROWTH * beside), np.minimum(away, beside)
+            return apart, away
+
+        return spacing
+
+
+def camera_place(camera: Camera) -> np.ndarray:
+    """(3,) float64: where the eye is, in world space."""
+    return np.linalg.inv(camera.view_from_world)[:3, 3]

@@ -6,53 +6,217 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from ...core.indirect.closed import scrambled
+from ...core.indirect.sites import hashed
 from ...core.indirect.surfels import Surfels
 from ...core.indirect.tree import build_tree
+from ...core.light.light_table import light_texture
 from ...core.lod.levels import SIDE_AXES
 from ...core.numeric.morton import morton_codes
-from ...core.scene.camera import Camera
+from ...core.numeric.record import record
 from ...core.scene.scene import Scene
+from ...core.scene.world import World
 from ..device.protocol import Device, Texture
-from ..passes.indirect.gather import BOUNCE_CELLS, CELLS, COARSENESS, Gather, gather_program
-from ..passes.indirect.pages import RECEIVER_WIDTH, node_texture, receiver_texture
+from ..passes.indirect.gather import BOUNCE_CELLS, COARSENESS, GATHER_BLOCK, Gather, gather_program
+from ..passes.indirect.pages import NODE_WIDTH, RECEIVER_WIDTH, node_rows, paged_texture, receiver_texture
 from ..passes.indirect.surfel_light import lit_surfels
 
 MOST_BOUNCE_RECEIVERS = 3000  # of either side, where light is gathered for further bounces
 LEAST_GAIN = 0.01  # of the light of surfels, below which what a bounce brings is the last
 THINNER = 0.25  # along the normal
+ALIKE = 0.9  # cosine between normals of surfels and of receivers next to theirs that light them, too
 SMALLEST_SHARE = 10.0  # percent of surfels that are smaller than what is told apart
 TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], np.float32) / np.float32(3**0.5)
+MOST_KNOWN = 1 << 21  # sites that are kept, of 40 bytes each
 LIFTED = 0.05  # radii of a surfel, by which its receiver lies above it
 
 
+@record
+class BakedLight:
+    """The light tree of a scene, with the light that leaves its nodes after some bounces: for all cameras near one."""
+
+    origin: np.ndarray  # (3,) float64, world: of the tree's space, which has the world's axes
+    nodes: np.ndarray  # (M, 16) float32, as of node_rows, the root last
+
+    @property
+    def nbytes(self) -> int:
+        return self.nodes.nbytes
+
+
+@record
+class BounceReceivers:
+    """R of N surfels, at which light is gathered for all."""
+
+    rows: np.ndarray  # (R,) int64: surfels
+    others: np.ndarray  # (4, N) int64: receivers in whose cells, or next to these, each surfel lies
+    weights: np.ndarray  # (4, N) float32, 1 together
+
+    def spread(self, found: np.ndarray) -> np.ndarray:
+        """Returns for all surfels (2, N, 3) what receivers have gathered, (2, R, 3)."""
+        whole = np.zeros((2, self.others.shape[1], 3), np.float32)
+        for other, weight in zip(self.others, self.weights, strict=True):
+            whole += found[:, other] * weight[:, None]
+        return whole
+
+
+class KnownSites:
+    """What was gathered at sites (core/indirect/sites.py), by their keys: it depends on nothing else."""
+
+    def __init__(self) -> None:
+        self._keys, self._found = np.zeros(0, np.uint64), np.zeros((0, 8), np.float32)
+
+    def lookup(self, keys: np.ndarray, gather: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """Returns (N, 8) for keys (N,). `gather` returns it for rows (n,) of those that are not known."""
+        unique, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+        at = np.searchsorted(self._keys, unique)
+        known = np.zeros(len(unique), bool)
+        within = at < len(self._keys)
+        known[within] = self._keys[at[within]] == unique[within]
+        found = np.empty((len(unique), 8), np.float32)
+        found[known] = self._found[at[known]]
+        if not known.all():
+            found[~known] = gather(first[~known])
+            if len(self._keys) > MOST_KNOWN:
+                self._keys, self._found = unique, found
+            else:
+                self._keys = np.insert(self._keys, at[~known], unique[~known])
+                self._found = np.insert(self._found, at[~known], found[~known], axis=0)
+        return found[inverse]
+
+
 class IndirectLight:
-    """The light tree of a scene on the device, with the light that leaves its nodes after some bounces."""
+    """Such a tree on the device, from which light is gathered."""
+
+    def __init__(self, device: Device, baked: BakedLight, world: World, names: tuple[str, ...]) -> None:
+        """`names`: PS_ names of the world."""
+        self._device, self._names = device, names
+        self.origin = baked.origin
+        self._baked: BakedLight | None = baked  # until something is gathered
+        self._root = len(baked.nodes) - 1
+        self._table = light_texture((), world, np.eye(4))
+        self._textures: dict[str, Texture] = {}
+        self.known = KnownSites()
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing hides or scatters light."""
+        return self._root < 0
+
+    def gathered(
+        self,
+        position: np.ndarray,
+        normal: np.ndarray,
+        cells: int,
+        sky: dict[str, Texture],
+        mirror: np.ndarray | None = None,
+        sharpness: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Gathers at places with normals (N, 3), in the tree's space: (N, 8) float32, without sharpness (N, 4).
+
+        `sky`: the picture of the world, by sampler name, where there is one. Irradiance over pi and nearness, the mean
+        of inverse distances; what lobes around mirrored views (N, 3), so sharp (N,), show of surfaces, and how much of
+        them is open.
+        """
+        device, glossy, count = self._device, sharpness is not None, len(position)
+        rows = coherent_rows(position, normal)
+        arrays = (
+            position, normal, normal if mirror is None else mirror,
+            np.ones(count, np.float32) if sharpness is None else sharpness,
+        )  # fmt: skip
+        texels = RECEIVER_WIDTH * (int(rows.max(initial=0)) // RECEIVER_WIDTH + 1)
+        laid = [np.zeros((texels, *array.shape[1:]), np.float32) for array in arrays]
+        for to, of in zip(laid, arrays, strict=True):
+            to[rows] = of
+        receivers = receiver_texture(device, *laid)
+        program = gather_program(self._names, glossy, cells)
+        record = GATHER_BLOCK.record(root=self._root, coarseness=COARSENESS)
+        textures = self._uploaded() | sky
+        wanted = {name for _, name in program.samplers}
+        textures = {name: texture for name, texture in textures.items() if name in wanted}
+        made = Gather(device, receivers, program, record, textures)
+        try:
+            found = (made.diffuse, made.glossy) if glossy else (made.diffuse,)
+            return np.concatenate([device.read(item).reshape(-1, 4)[rows] for item in found], axis=1)
+        finally:
+            made.release()
+            receivers.release()
+
+    def _uploaded(self) -> dict[str, Texture]:
+        """The nodes and the world's colour, by sampler name."""
+        if self._baked is not None:
+            device, table = self._device, self._table
+            self._textures["ps_nodes"] = paged_texture(device, self._baked.nodes, NODE_WIDTH)
+            self._baked = None
+            if self._names:
+                lights = device.texture((table.shape[1], table.shape[0]), "RGBA32F", table.reshape(-1))
+                self._textures["ps_lights"] = lights
+        return self._textures
+
+    def release(self) -> None:
+        """Frees what is on the device."""
+        for texture in self._textures.values():
+            texture.release()
+        self._textures = {}
+
+
+def bake_light(
+    device: Device,
+    scene: Scene,
+    surfels: Surfels,
+    lighting: tuple[str, ...],
+    textures: dict[str, Texture],
+    bounces: int,
+    check: Callable[[], None],
+) -> BakedLight:
+    """Lights surfels by lamps, by the sky and by each other, so many times.
+
+    `lighting`: PS_ names of lamps, shadows and the sky; `textures`: what these read, in the world from the surfels'
+    origin. Raises what `check` raises, which is called between steps.
+    """
+    return _Baker(device, scene, surfels, lighting, textures).baked(bounces, check)
+
+
+class _Baker:
+    """Surfels that are being lit."""
 
     def __init__(
         self,
         device: Device,
         scene: Scene,
-        camera: Camera,
         surfels: Surfels,
         lighting: tuple[str, ...],
         textures: dict[str, Texture],
-        bounces: int,
-        check: Callable[[], None],
     ) -> None:
-        """`lighting`: PS_ names of lamps, shadows and the sky; `textures`: what these read, in the camera's view."""
-        self._device, self._scene, self._camera, self._surfels = device, scene, camera, surfels
-        self._world = tuple(name for name in lighting if name in ("PS_HAS_WORLD", "PS_HAS_ENVIRONMENT"))
-        self._lamps = tuple(name for name in lighting if name not in self._world)
+        self._device, self._scene, self._surfels = device, scene, surfels
+        self._names = world_names(lighting)
+        self._lamps = tuple(name for name in lighting if name not in self._names)
         self._textures = textures
-        self.origin = surfels.origin
-        self.tree = build_tree(surfels)
-        self._nodes: Texture | None = None
-        direct = self._direct() if bounces > 0 else np.zeros((2, len(surfels), 3), np.float32)
+        self._tree = build_tree(surfels)
+
+    def baked(self, bounces: int, check: Callable[[], None]) -> BakedLight:
+        surfels = self._surfels
         leaving = np.broadcast_to(surfels.emission, (2, len(surfels), 3))
-        self._set_light(leaving)
-        if bounces > 0:
-            self._bounce(leaving, direct, bounces, check)
+        if bounces == 0:
+            return self._with(leaving)
+        direct = self._direct()
+        receivers = self._receivers()
+        for number in range(bounces):
+            check()
+            if number == 0 and not self._names and not leaving.any():
+                found = np.zeros_like(direct)
+            else:
+                found = receivers.spread(self._gathered_at_surfels(leaving, receivers.rows))
+            former, leaving = leaving, surfels.emission + surfels.albedo * (direct + found)
+            gain = leaving - former
+            of_all = leaving.sum(axis=(0, 2))
+            share = float((gain.sum(axis=(0, 2)) / np.maximum(of_all + np.median(of_all), 1e-30)).mean())
+            if number and share < LEAST_GAIN:
+                break
+        return self._with(leaving)
+
+    def _with(self, leaving: np.ndarray) -> BakedLight:
+        """`leaving` (2, N, 3): radiance that leaves surfels, outside and inside."""
+        radiance = self._tree.radiance(self._surfels, *leaving)
+        return BakedLight(self._surfels.origin, node_rows(self._tree, radiance))
 
     def _direct(self) -> np.ndarray:
         """(2, N, 3): irradiance over pi by lamps, outside and inside."""
@@ -60,49 +224,28 @@ class IndirectLight:
         found = np.zeros((2, len(surfels), 3), np.float32)
         if not lights:
             return found
-        view = self._camera.view_from_world
-        rotation, shift = view[:3, :3], view[:3, 3] + view[:3, :3] @ surfels.origin
         for side, rows, position, normal, share in sides(surfels):
-            lit = lit_surfels(
-                self._device, self._lamps, lights, position @ rotation.T + shift, normal @ rotation.T, self._textures
-            )
+            lit = lit_surfels(self._device, self._lamps, lights, position, normal, self._textures)
             found[side, rows] += np.float32(share) * lit
         return found
 
-    def _bounce(self, leaving: np.ndarray, direct: np.ndarray, bounces: int, check: Callable[[], None]) -> None:
-        """Lights surfels by what leaves others, (2, N, 3), and by lamps, over and over."""
-        surfels = self._surfels
-        rows, group = self._receivers()
-        for number in range(bounces):
-            check()
-            if number == 0 and not self._world and not leaving.any():
-                found = np.zeros_like(direct)
-            else:
-                found = self._gathered_at_surfels(rows)[:, group]
-            former, leaving = leaving, surfels.emission + surfels.albedo * (direct + found)
-            gain = leaving - former
-            of_all = leaving.sum(axis=(0, 2))
-            share = float((gain.sum(axis=(0, 2)) / np.maximum(of_all + np.median(of_all), 1e-30)).mean())
-            self._set_light(leaving)
-            if number and share < LEAST_GAIN:
-                break
-
-    def _receivers(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows (R,) of surfels that stand for all, and which of them (N,) stands for each."""
+    def _receivers(self) -> BounceReceivers:
         surfels = self._surfels
         turned = surfels.normal @ SIDE_AXES.astype(np.float32)
         face = np.abs(turned).argmax(axis=1)
         side = 2 * face + (turned[np.arange(len(face)), face] < 0)
         # Surfels are the larger the farther off they are, and so are the cells that share a receiver. These are
         # flat, thin along the axis that normals are turned to, so that surfaces behind one another do not share one.
-        size = np.sqrt(np.maximum(surfels.area, np.percentile(surfels.area, SMALLEST_SHARE)))
+        whole = surfels.area * np.where(surfels.half, 2, 1)
+        size = np.sqrt(np.maximum(whole, np.percentile(whole, SMALLEST_SHARE)))
         across = np.exp2(np.ceil(np.log2(size)))[:, None]
         thin = np.where(np.abs(SIDE_AXES.T[face]) > 0.5, THINNER, 1.0)
         away = surfels.position - surfels.position.min(axis=0)
         scale = max((np.count_nonzero(~surfels.closed) + len(surfels)) / MOST_BOUNCE_RECEIVERS, 1.0) ** 0.5
         while True:
-            cell = np.floor(away / (scale * thin * across))
-            key = _hashed(np.column_stack([cell, side, across]))
+            at = away / (scale * thin * across)
+            cell = np.floor(at)
+            key = hashed(np.column_stack([cell, side, across]))
             order = np.argsort(key, kind="stable")
             new = np.append(True, key[order][1:] != key[order][:-1])
             open_ones = np.count_nonzero(~surfels.closed[order][new])
@@ -114,72 +257,50 @@ class IndirectLight:
         # The surfel nearest to the middle of each.
         count = np.bincount(group)
         middle = np.stack([np.bincount(group, column) / count for column in surfels.position.T], axis=1)
-        away = ((surfels.position - middle[group]) ** 2).sum(axis=1)
-        nearest = np.lexsort((away, group))
-        return nearest[np.cumsum(count) - count], group
+        off = ((surfels.position - middle[group]) ** 2).sum(axis=1)
+        rows = np.lexsort((off, group))[np.cumsum(count) - count]
+        return self._with_neighbours(rows, group, key[order][new], at, face, np.column_stack([side, across]))
 
-    def _gathered_at_surfels(self, rows: np.ndarray) -> np.ndarray:
+    def _with_neighbours(
+        self, rows: np.ndarray, group: np.ndarray, keys: np.ndarray, at: np.ndarray, face: np.ndarray, kind: np.ndarray
+    ) -> BounceReceivers:
+        """Receivers `rows` (R,) of cells with keys (R,), rising, to which surfels of groups (N,) belong. `at` (N, 3):
+        places in cells, in faces (N,) across the axes; `kind` (N, 2): what keys hold beside cells."""
+        normal, number = self._surfels.normal, np.arange(len(group))
+        ahead = np.where(at - np.floor(at) < 0.5, -1.0, 1.0)
+        apart = np.abs(at - np.floor(at) - 0.5)
+        first, second = (face + 1) % 3, (face + 2) % 3
+        others, weights = [group], [(1 - apart[number, first]) * (1 - apart[number, second])]
+        for steps in ((first,), (second,), (first, second)):
+            cell, weight = np.floor(at), np.ones(len(group))
+            for axis in (first, second):
+                moved = any(axis is step for step in steps)
+                cell[number, axis] += ahead[number, axis] if moved else 0
+                weight *= apart[number, axis] if moved else 1 - apart[number, axis]
+            wanted = hashed(np.column_stack([cell, kind]))
+            found = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+            alike = (normal * normal[rows[found]]).sum(axis=1)
+            others.append(found)
+            weights.append(np.where((keys[found] == wanted) & (alike > ALIKE), weight, 0.0))
+        total = np.stack(weights)
+        return BounceReceivers(rows, np.stack(others), (total / total.sum(axis=0)).astype(np.float32))
+
+    def _gathered_at_surfels(self, leaving: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """(2, R, 3): irradiance over pi by sky and surfels, outside and inside, at the surfels `rows`."""
         found = np.zeros((2, len(rows), 3), np.float32)
-        for side, some, position, normal, share in sides(self._surfels.take(rows)):
-            found[side, some] += np.float32(share) * self.gathered(position, normal, BOUNCE_CELLS, normal)[:, :3]
+        sky = {name: texture for name, texture in self._textures.items() if name == "ps_environment"}
+        light = IndirectLight(self._device, self._with(leaving), self._scene.world, self._names)
+        try:
+            for side, some, position, normal, share in sides(self._surfels.take(rows)):
+                found[side, some] += np.float32(share) * light.gathered(position, normal, BOUNCE_CELLS, sky)[:, :3]
+        finally:
+            light.release()
         return found
 
-    def gathered(
-        self,
-        position: np.ndarray,
-        normal: np.ndarray,
-        cells: int,
-        mirror: np.ndarray,
-        sharpness: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """Gathers at places with normals (N, 3), in the tree's space: (N, 8) float32, without sharpness (N, 4).
 
-        Irradiance over pi and nearness, the mean of inverse distances; what lobes around mirrored views (N, 3), so
-        sharp (N,), show of surfaces, and how much of them is open.
-        """
-        glossy = sharpness is not None
-        rows = coherent_rows(position, normal)
-        arrays = (position, normal, mirror, np.ones(len(position), np.float32) if sharpness is None else sharpness)
-        texels = RECEIVER_WIDTH * (int(rows.max(initial=0)) // RECEIVER_WIDTH + 1)
-        laid = [np.zeros((texels, *array.shape[1:]), np.float32) for array in arrays]
-        for to, of in zip(laid, arrays, strict=True):
-            to[rows] = of
-        receivers = receiver_texture(self._device, *laid)
-        made = self.gather(receivers, glossy, cells)
-        try:
-            textures = (made.diffuse, made.glossy) if glossy else (made.diffuse,)
-            return np.concatenate([self._device.read(item).reshape(-1, 4)[rows] for item in textures], axis=1)
-        finally:
-            made.release()
-            receivers.release()
-
-    def gather(self, receivers: Texture, glossy: bool, cells: int = CELLS) -> Gather:
-        """Gathers at receivers as of receiver_texture."""
-        assert self._nodes is not None
-        rotation = np.eye(4)
-        rotation[:3, :3] = self._camera.view_from_world[:3, :3]
-        program = gather_program(self._world, glossy, cells)
-        assert program.block is not None
-        values = {"view_from_world": rotation, "root": len(self.tree) - 1, "coarseness": COARSENESS}
-        record = program.block.record(**{name: values[name] for _, name in program.block.fields})
-        wanted = {"ps_lights", "ps_environment"} if self._world else set()
-        textures = {name: texture for name, texture in self._textures.items() if name in wanted}
-        if self._world == ("PS_HAS_WORLD",):
-            textures.pop("ps_environment", None)
-        textures |= {"ps_nodes": self._nodes}
-        return Gather(self._device, receivers, program, record, textures)
-
-    def _set_light(self, leaving: np.ndarray) -> None:
-        """`leaving` (2, N, 3): radiance that leaves surfels, outside and inside."""
-        if self._nodes is not None:
-            self._nodes.release()
-        self._nodes = node_texture(self._device, self.tree, self.tree.radiance(self._surfels, *leaving))
-
-    def release(self) -> None:
-        """Frees what is on the device."""
-        if self._nodes is not None:
-            self._nodes.release()
+def world_names(lighting: tuple[str, ...]) -> tuple[str, ...]:
+    """Returns those of PS_ names of lights and shadows that are of the world."""
+    return tuple(name for name in lighting if name in ("PS_HAS_WORLD", "PS_HAS_ENVIRONMENT"))
 
 
 def coherent_rows(position: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -195,15 +316,6 @@ def coherent_rows(position: np.ndarray, normal: np.ndarray) -> np.ndarray:
     rows = np.empty(len(order), np.int64)
     rows[order] = (4 * (block // across) + within // 4) * RECEIVER_WIDTH + 4 * (block % across) + within % 4
     return rows
-
-
-def _hashed(columns: np.ndarray) -> np.ndarray:
-    """(N,) uint64: equal where rows (N, k) of numbers are, and else but with a probability of 2^-64."""
-    with np.errstate(over="ignore"):
-        found = np.zeros(len(columns), np.uint64)
-        for column in columns.T:
-            found = scrambled(found ^ (column.astype(np.float64) + 0.0).view(np.uint64))
-    return found
 
 
 def sides(surfels: Surfels) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray, float]]:

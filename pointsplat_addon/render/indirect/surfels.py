@@ -1,4 +1,4 @@
-"""The surfels of a scene: as dense as a camera needs them where it looks, and less dense elsewhere."""
+"""The surfels of a scene, as dense as `density.py` says."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from ...core.indirect.closed import is_closed
 from ...core.indirect.sampling import LightSamples, light_samples
-from ...core.indirect.surfels import Surfels
+from ...core.indirect.surfels import Surfels, joined
 from ...core.light.bsdf import relative_index, sample_reflectance_table
 from ...core.lod.foliage import is_foliage
 from ...core.scene.camera import Camera
@@ -22,46 +22,78 @@ from ...core.surface.appearance import passing, point_cloud
 from ...core.surface.evaluation import evaluate
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
-from .density import Density
+from ..shadow.casting import cached_bounding_box
+from .density import Density, Spacing
 
 TYPICAL_COSINE = 0.6  # of directions in which surfels are seen
 FEWEST_IN_FOLIAGE = 2000  # triangles: with fewer, open edges are those of floors and walls
 MANY_INSTANCES = 16  # of a geometry, from which on they share samples
 
 
-def scene_surfels(scene: Scene, camera: Camera, store: Store, check: Callable[[], None]) -> Surfels | None:
+def scene_density(scene: Scene, camera: Camera, store: Store) -> tuple[Density, np.ndarray]:
+    """Returns how dense the surfels of a scene are, and what their places are to be relative to, (3,) float64: the
+    middle of everything, so that it does not move with the camera."""
+    matrices = scene.instances.world_from_object
+    count = len(scene.geometries)
+    low, high = np.zeros((2, count, 3))
+    for row in np.unique(scene.instances.geometry).tolist():
+        low[row], high[row] = cached_bounding_box(scene.geometries[row], store)
+    low, high = np.nan_to_num(low), np.nan_to_num(high)
+    empty = (low > high).any(axis=1)
+    low[empty] = high[empty] = 0
+    middle, half = (0.5 * (high + sign * low)[scene.instances.geometry] for sign in (1, -1))
+    with np.errstate(all="ignore"):
+        world = np.einsum("iab,ib->ia", matrices[:, :3, :3], middle) + matrices[:, :3, 3]
+        around = np.einsum("iab,ib->ia", np.abs(matrices[:, :3, :3]), half)
+    usable = _usable(scene) & np.isfinite(world).all(axis=1) & np.isfinite(around).all(axis=1)
+    world[~usable], around[~usable] = 0, 0
+    shown = usable & ~empty[scene.instances.geometry]
+    origin = np.zeros(3)
+    if shown.any():
+        origin = 0.5 * ((world - around)[shown].min(axis=0) + (world + around)[shown].max(axis=0))
+    return Density(camera, world, around), origin
+
+
+def _usable(scene: Scene) -> np.ndarray:
+    """(I,) bool: instances whose transforms are finite."""
+    return np.isfinite(scene.instances.world_from_object).all(axis=(1, 2))
+
+
+def scene_surfels(
+    scene: Scene, density: Density, origin: np.ndarray, store: Store, check: Callable[[], None]
+) -> Surfels | None:
     """Returns the surfels of everything that hides or scatters light; None where nothing does."""
-    origin = camera_place(camera)
-    usable = np.isfinite(scene.instances.world_from_object).all(axis=(1, 2))
-    density = Density(camera, origin)
     found: list[Surfels] = []
-    for geometry, rows in zip(scene.geometries, scene.instances.of_each(len(scene.geometries), usable), strict=True):
+    rows_of = scene.instances.of_each(len(scene.geometries), _usable(scene))
+    for geometry, rows in zip(scene.geometries, rows_of, strict=True):
         check()
         if len(rows) == 0:
             continue
         matrices = scene.instances.world_from_object[rows].copy()
         matrices[:, :3, 3] -= origin
-        for part in _surfels(scene, geometry, matrices, density, store):
+        for part in _surfels(scene, geometry, rows, matrices, origin, density, store):
             if len(part):
                 found.append(part)
     if not found:
         return None
-    names = ("position", "normal", "area", "closed", "scattered", "albedo", "emission")
-    joined = [np.concatenate([getattr(part, name) for part in found]) for name in names]
-    whole = Surfels(origin, *joined)
+    whole = replace(joined(found), origin=origin)
     sound = np.isfinite(whole.position).all(axis=1) & np.isfinite(whole.area) & (whole.area > 0)
     sound &= np.isfinite(whole.normal).all(axis=1)
     return whole if sound.all() else (whole.take(np.flatnonzero(sound)) if sound.any() else None)
 
 
-def camera_place(camera: Camera) -> np.ndarray:
-    """(3,) float64: where the eye is, in world space."""
-    return np.linalg.inv(camera.view_from_world)[:3, 3]
-
-
-def _surfels(scene: Scene, geometry: Geometry, matrices: np.ndarray, density: Density, store: Store) -> list[Surfels]:
-    """The surfels of instances of a geometry; `matrices` (I, 4, 4): to world space from the density's origin."""
+def _surfels(
+    scene: Scene,
+    geometry: Geometry,
+    rows: np.ndarray,
+    matrices: np.ndarray,
+    origin: np.ndarray,
+    density: Density,
+    store: Store,
+) -> list[Surfels]:
+    """The surfels of instances `rows` of a geometry; `matrices` (I, 4, 4): to world space from `origin`."""
     table = scene.materials
+    spacings = (density.spacing(row, origin) for row in rows.tolist())
     if geometry.mesh is not None and len(geometry.mesh.triangles):
         mesh = geometry.mesh
         if passing(mesh, table) is not None:
@@ -72,36 +104,38 @@ def _surfels(scene: Scene, geometry: Geometry, matrices: np.ndarray, density: De
         )
         kind = closed, leaves and not closed
         if len(matrices) < MANY_INSTANCES:
-            return [_of_mesh(mesh, table, matrix, density, kind) for matrix in matrices]
-        return _of_instances(mesh, table, matrices, density, kind)
+            return [_of_mesh(mesh, table, one, at, kind) for one, at in zip(matrices, spacings, strict=True)]
+        return _of_instances(mesh, table, matrices, density.apart[rows], kind)
     if geometry.cloud is not None and len(geometry.cloud) and geometry.cloud.opacity is None:
-        return [_of_cloud(geometry.cloud, table, matrix, density) for matrix in matrices]
+        cloud = geometry.cloud
+        return [_of_cloud(cloud, table, one, at) for one, at in zip(matrices, spacings, strict=True)]
     if geometry.strands is not None and len(geometry.strands):
-        return [_of_strands(geometry.strands, table, matrix, density) for matrix in matrices]
+        strands = geometry.strands
+        return [_of_strands(strands, table, one, at) for one, at in zip(matrices, spacings, strict=True)]
     return []
 
 
 def _of_mesh(
-    mesh: Mesh, table: MaterialTable, matrix: np.ndarray, density: Density, kind: tuple[bool, bool]
+    mesh: Mesh, table: MaterialTable, matrix: np.ndarray, spacing: Spacing, kind: tuple[bool, bool]
 ) -> Surfels:
     """The surfels of one instance, each as far from the next as it is to be where it lies."""
     moved = replace(mesh, position=(mesh.position @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32))
-    made = light_samples(moved, density.spacing)
+    made = light_samples(moved, spacing)
     if np.linalg.det(matrix[:3, :3]) < 0:
-        made = replace(made, normal=-made.normal)  # mirrored triangles run the other way round
+        # Mirrored triangles run the other way round: their other side comes first.
+        other = np.cross(made.normal, made.edge)
+        length = np.maximum((made.edge**2).sum(axis=1), 1e-300)
+        other *= (made.area * np.where(made.half, 2, 1) / length)[:, None]
+        made = replace(made, normal=-made.normal, edge=other)
     return _with_look(mesh, table, made, kind)
 
 
 def _of_instances(
-    mesh: Mesh, table: MaterialTable, matrices: np.ndarray, density: Density, kind: tuple[bool, bool]
+    mesh: Mesh, table: MaterialTable, matrices: np.ndarray, apart: np.ndarray, kind: tuple[bool, bool]
 ) -> list[Surfels]:
-    """The surfels of many instances: those of about one distance share samples."""
-    low, high = mesh.position.min(axis=0), mesh.position.max(axis=0)
-    middle, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+    """The surfels of many instances, (I,) apart: those of about one distance share samples."""
     scale = _scale(matrices)
-    place = matrices[:, :3, :3] @ middle + matrices[:, :3, 3]
-    spacing, _ = density.spacing(place.T, margin=radius * scale)
-    octave = np.floor(np.log2(np.maximum(spacing, 1e-30) / np.maximum(scale, 1e-30)))
+    octave = np.floor(np.log2(np.maximum(apart, 1e-30) / np.maximum(scale, 1e-30)))
     found = []
     for one in np.unique(octave).tolist():
         apart = 2.0**one
@@ -127,6 +161,7 @@ def _moved(surfels: Surfels, matrices: np.ndarray) -> Surfels:
         surfels.origin, position.reshape(-1, 3).astype(np.float32), normal.reshape(-1, 3).astype(np.float32),
         (surfels.area * grown).reshape(-1).astype(np.float32), closed, scattered,
         np.tile(surfels.albedo, (count, 1)), np.tile(surfels.emission, (count, 1)),
+        (surfels.edge @ linear.transpose(0, 2, 1)).reshape(-1, 3).astype(np.float32), np.tile(surfels.half, count),
     )  # fmt: skip
 
 
@@ -138,19 +173,21 @@ def _with_look(mesh: Mesh, table: MaterialTable, made: LightSamples, kind: tuple
     assert cloud.value is not None
     kept = cloud.value.astype(np.int64)
     albedo, emission = _look(cloud, table)
-    position, normal, area = (of[kept].astype(np.float32) for of in (made.position, made.normal, made.area))
+    of_mesh = made.position, made.normal, made.area, made.edge
+    position, normal, area, edge = (of[kept].astype(np.float32) for of in of_mesh)
+    half = made.half[kept]
     closed, scattered = (np.full(len(kept), flag) for flag in kind)
-    return Surfels(np.zeros(3), position, normal, area, closed, scattered, albedo, emission)
+    return Surfels(np.zeros(3), position, normal, area, closed, scattered, albedo, emission, edge, half)
 
 
-def _of_cloud(cloud: PointCloud, table: MaterialTable, matrix: np.ndarray, density: Density) -> Surfels:
+def _of_cloud(cloud: PointCloud, table: MaterialTable, matrix: np.ndarray, spacing: Spacing) -> Surfels:
     """The surfels of a cloud of balls or disks; of dense ones some stand for all."""
     radii = np.full((len(cloud), 1), 0.01, np.float32) if cloud.radii is None else cloud.radii
     position = cloud.position.astype(np.float64) + cloud.origin
     place = position @ matrix[:3, :3].T + matrix[:3, 3]
     flat = cloud.normal is not None and bool(cloud.normal.any())
     area = np.pi * radii[:, 0].astype(np.float64) * radii[:, -1] * (1.0 if flat else 4.0)
-    apart, _ = density.spacing(place.T)
+    apart, _ = spacing(place.T)
     worth = np.minimum(area / (1.0 if flat else 4.0) * (_scale(matrix) / apart) ** 2, 1.0)
     ends = np.cumsum(worth)
     count = max(round(float(ends[-1])), 1)
@@ -162,12 +199,13 @@ def _of_cloud(cloud: PointCloud, table: MaterialTable, matrix: np.ndarray, densi
     stands_for *= area.sum() / stands_for.sum()
     local = Surfels(
         np.zeros(3), position[rows].astype(np.float32), normal, stands_for.astype(np.float32),
-        np.full(count, not flat), np.zeros(count, bool), albedo, emission,
+        np.full(count, not flat), np.zeros(count, bool), albedo, emission, np.zeros((count, 3), np.float32),
+        np.zeros(count, bool),
     )  # fmt: skip
     return _moved(local, matrix[None])
 
 
-def _of_strands(strands: Strands, table: MaterialTable, matrix: np.ndarray, density: Density) -> Surfels:
+def _of_strands(strands: Strands, table: MaterialTable, matrix: np.ndarray, spacing: Spacing) -> Surfels:
     """The surfels of strands: pieces of tubes, turned to all sides."""
     ends = np.ones(len(strands.position), bool)
     ends[strands.start[1:] - 1] = False
@@ -177,7 +215,7 @@ def _of_strands(strands: Strands, table: MaterialTable, matrix: np.ndarray, dens
     length = np.linalg.norm(b - a, axis=1)
     area = 2 * np.pi * radius * length
     middle = 0.5 * (a + b)
-    apart, _ = density.spacing((middle @ matrix[:3, :3].T + matrix[:3, 3]).T)
+    apart, _ = spacing((middle @ matrix[:3, :3].T + matrix[:3, 3]).T)
     scale = float(_scale(matrix))
     worth = np.minimum(area / 4 * scale**2 / apart**2, 1.0)
     total = np.cumsum(worth)
@@ -201,6 +239,8 @@ def _of_strands(strands: Strands, table: MaterialTable, matrix: np.ndarray, dens
         np.ones(count, bool),
         albedo,
         emission,
+        np.zeros((count, 3), np.float32),
+        np.zeros(count, bool),
     )
     return _moved(local, matrix[None])
 
@@ -212,8 +252,8 @@ def _scale(matrices: np.ndarray) -> np.ndarray:
 
 def _none() -> Surfels:
     f = np.float32
-    empty = np.zeros((0, 3), f)
-    return Surfels(np.zeros(3), empty, empty, np.zeros(0, f), np.zeros(0, bool), np.zeros(0, bool), empty, empty)
+    empty, no = np.zeros((0, 3), f), np.zeros(0, bool)
+    return Surfels(np.zeros(3), empty, empty, np.zeros(0, f), no, no, empty, empty, empty, no)
 
 
 def _look(cloud: PointCloud, table: MaterialTable) -> tuple[np.ndarray, np.ndarray]:

@@ -7,7 +7,7 @@ struct PsNode {
   vec3 position;
   float radius;  // of a ball that holds it
   float area;
-  int first;  // child; -1: a leaf
+  int first;  // child; < 0: a leaf
   int bits;
   float axis;
 };
@@ -53,4 +53,18 @@ PsNodeLook ps_node_look(int number, PsNode node)
   look.behind = ps_unpack_radiance(b.xy);
   look.inside = ps_unpack_radiance(b.zw);
   return look;
+}
+
+struct PsLeafEdge {
+  vec2 turn;  // cosine and sine of how far it is turned about the axis
+  float ratio;  // its length over that of a square
+  bool half_of_it;  // the leaf is a triangle with a right angle, half of a rectangle
+};
+
+PsLeafEdge ps_leaf_edge(PsNode node)
+{
+  int code = -2 - node.first;
+  float turn = code < 0 ? 0.0 : float(code >> 10 & 1023) * (2.0 * PS_PI / 1024.0);
+  float ratio = code < 0 ? 1.0 : exp2(float((code & 1023) - 512) / 64.0);
+  return PsLeafEdge(vec2(cos(turn), sin(turn)), ratio, code >= 1 << 20);
 }

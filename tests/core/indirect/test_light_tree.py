@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.indirect.surfels import Surfels
+from pointsplat_addon.core.indirect.surfels import ARRAYS, Surfels
 from pointsplat_addon.core.indirect.tree import LightTree, build_tree
 
 
@@ -12,9 +12,10 @@ def random_surfels(count: int, seed: int = 1) -> Surfels:
     normal = rng.normal(size=(count, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     f = np.float32
+    none = np.zeros((count, 3), f)
     return Surfels(
         np.zeros(3), rng.normal(size=(count, 3)).astype(f), normal.astype(f), rng.uniform(0.5, 2, count).astype(f),
-        np.ones(count, bool), rng.uniform(size=count) < 0.3, np.zeros((count, 3), f), np.zeros((count, 3), f),
+        np.ones(count, bool), rng.uniform(size=count) < 0.3, none, none, none, np.zeros(count, bool),
     )  # fmt: skip
 
 
@@ -53,7 +54,7 @@ def test_surfels_in_one_place_share_a_leaf():
     np.testing.assert_allclose(tree.area[0], surfels.area.sum(), rtol=1e-6)
 
 
-NAMES = ("normal", "area", "closed", "scattered", "albedo", "emission")
+NAMES = ARRAYS[1:]
 
 
 def test_a_thin_wall_shines_by_each_side():
@@ -63,7 +64,7 @@ def test_a_thin_wall_shines_by_each_side():
     position = np.concatenate([sheet + np.array([0.1, 0, 0]), sheet - np.array([0.1, 0, 0])]).astype(np.float32)
     normal = np.repeat(np.array([[1, 0, 0], [-1, 0, 0]], np.float32), 64, axis=0)
     zero, no = np.zeros((128, 3), np.float32), np.zeros(128, bool)
-    surfels = Surfels(np.zeros(3), position, normal, np.ones(128, np.float32), ~no, no, zero, zero)
+    surfels = Surfels(np.zeros(3), position, normal, np.ones(128, np.float32), ~no, no, zero, zero, zero, no)
     bright = np.repeat(np.array([[1.0], [0.0]]), 64, axis=0) * np.ones(3)
     tree = build_tree(surfels)
     before, behind, _ = tree.radiance(surfels, bright, zero)[:, -1]

@@ -3,12 +3,18 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.indirect.surfels import Surfels
+from pointsplat_addon.core.indirect.surfels import Surfels, joined
 from pointsplat_addon.core.indirect.tree import build_tree
 from pointsplat_addon.core.light.light_table import light_texture
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.render.passes.indirect.gather import GATHER_BLOCK, Gather, gather_program
-from pointsplat_addon.render.passes.indirect.pages import node_texture, packed_radiance, receiver_texture
+from pointsplat_addon.render.passes.indirect.pages import (
+    NODE_WIDTH,
+    node_rows,
+    packed_radiance,
+    paged_texture,
+    receiver_texture,
+)
 from scripts.scenes import drawing
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -19,13 +25,8 @@ def surfels_of(position: np.ndarray, normal: np.ndarray, area: np.ndarray, scatt
     none = np.zeros((count, 3), f)
     return Surfels(
         np.zeros(3), position.astype(f), normal.astype(f), np.broadcast_to(area, count).astype(f), np.ones(count, bool),
-        np.full(count, scattered), none, none,
+        np.full(count, scattered), none, none, none, np.zeros(count, bool),
     )  # fmt: skip
-
-
-def joined(*parts: Surfels) -> Surfels:
-    names = ("position", "normal", "area", "closed", "scattered", "albedo", "emission")
-    return Surfels(np.zeros(3), *(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def ball(count: int, radius: float, height: float) -> Surfels:
@@ -47,7 +48,7 @@ def wall(cells: int, axis: int, sign: float, outward: float = -1.0) -> Surfels:
 
 
 def room(cells: int, outward: float = -1.0) -> Surfels:
-    return joined(*(wall(cells, axis, sign, outward) for axis in range(3) for sign in (1.0, -1.0)))
+    return joined([wall(cells, axis, sign, outward) for axis in range(3) for sign in (1.0, -1.0)])
 
 
 def gathered(
@@ -62,7 +63,7 @@ def gathered(
     device = drawing.opengl().device
     tree = build_tree(surfels)
     sides = np.repeat(radiance[:, None], 3, axis=1)
-    nodes = node_texture(device, tree, tree.radiance(surfels, sides, sides))
+    nodes = paged_texture(device, node_rows(tree, tree.radiance(surfels, sides, sides)), NODE_WIDTH)
     rows = light_texture((), World(np.full(3, sky)), np.eye(4))
     lights = device.texture((rows.shape[1], rows.shape[0]), "RGBA32F", rows.reshape(-1))
     normal = np.broadcast_to(normal, position.shape)
@@ -89,7 +90,7 @@ def test_a_ball_hides_the_sky_from_a_plane(count, coarseness, most, worst):
     0.0031 and worst 0.0140 at 1, 0.0026 and 0.0140 at 0.5; of 30,000 surfels 0.0028, 0.0125, 0.0022 and 0.0107."""
     away, place = along(600, 6.0)
     floor = surfels_of(*floor_arrays(20.0, 60))
-    surfels = joined(ball(count, 1.0, 1.5), floor)
+    surfels = joined([ball(count, 1.0, 1.5), floor])
     found = gathered(surfels, np.zeros(len(surfels)), place, UP, 1.0, coarseness)
     error = found - (1 - 1.5 / (away**2 + 1.5**2) ** 1.5)
     assert np.sqrt((error**2).mean()) < most
@@ -159,7 +160,7 @@ def test_a_thin_wall_keeps_light_apart():
     near, far = wall(cells, 0, 1.0), wall(cells, 0, 1.0, outward=1.0)
     shift = np.array([0.1 * 2 / cells, 0, 0], np.float32)
     far = surfels_of(far.position + shift, far.normal, far.area)
-    surfels = joined(near, far)
+    surfels = joined([near, far])
     radiance = np.repeat([0.0, 1.0], cells**2)
     place = np.stack([np.linspace(-1, 1 - 2 / cells, 100), np.full(100, 0.1), np.full(100, -1.0)], axis=1)
     assert gathered(surfels, radiance, place, UP).max() < 0.005

@@ -18,7 +18,12 @@ def known(light: np.ndarray, nearness: float, normal: np.ndarray) -> tuple[Known
     found = np.zeros((TILES**2, 8), np.float32)
     found[:, :3], found[:, 3] = light[:, None], nearness
     made = Known(np.column_stack([pixels, 0 * x]).astype(np.float32), normal)
-    made.add(Receivers(rows, pixels[rows], entries.astype(np.float32)), SIDE, found, np.ones(TILES**2, bool))
+    made.add(
+        Receivers(rows, pixels[rows], np.zeros(len(rows)), entries.astype(np.float32)),
+        SIDE,
+        found,
+        np.ones(TILES**2, bool),
+    )
     return made, pixels
 
 

@@ -5,13 +5,14 @@ import pytest
 
 from pointsplat_addon.core.indirect.surfels import Surfels
 from pointsplat_addon.render.cache.store import Store
-from pointsplat_addon.render.indirect.surfels import MANY_INSTANCES, scene_surfels
+from pointsplat_addon.render.indirect.surfels import MANY_INSTANCES, scene_density, scene_surfels
 from scripts.scenes import build, cameras, meshes
 
 
 def made(*things) -> Surfels:
     eye = cameras.camera((0.4, -6.0, 0.8))
-    found = scene_surfels(build.scene(*things), eye, Store(), lambda: None)
+    scene, store = build.scene(*things), Store()
+    found = scene_surfels(scene, *scene_density(scene, eye, store), store, lambda: None)
     assert found is not None
     return found
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ....core.indirect.sites import Sites, hashed, quantised_directions, scrambled
 from ...device.protocol import Device, Target, Texture
 from ...indirect.light import IndirectLight
 from ...passes.gbuffer import GBuffer, Variant
@@ -14,20 +15,24 @@ from ...passes.indirect.group_points import GROUP_POINTS_BLOCK, group_points_pro
 from ...passes.indirect.interpolate import INTERPOLATE, INTERPOLATE_BLOCK, TILE
 from ...passes.indirect.pages import RECEIVER_WIDTH, paged_texture, receiver_texture
 from ...passes.uniforms import SampleView
+from ..uploads.uploads import Uploads
 from .known import Known
-from .receivers import Receivers, choose_receivers
+from .receivers import Groups, Receivers, choose_receivers, sites_of, sole_groups
 
 SIDES = 4 * TILE, 2 * TILE, TILE  # of squares of pixels that have receivers, one after the other
 FEWEST_IN_TILE = 3  # groups of a surface in a square, from which on it has a receiver there beside that of the largest
+MIRRORS, ROUGHNESSES = 48, 64  # steps of mirrored views, each way of an octahedron, and of roughness
 SHARPEST = 24.0  # of a glossy lobe that the cells of a hemisphere resolve
 
 
 class GroupsInIndirectLight:
     """What the groups of a list receive of indirect light, in textures as long as the list."""
 
-    def __init__(self, device: Device, light: IndirectLight, variant: Variant, materials: Texture) -> None:
-        """`variant`: of the G-buffer of groups. `materials`: the material table."""
-        self._device, self._light, self._variant, self._materials = device, light, variant, materials
+    def __init__(self, device: Device, light: IndirectLight, uploads: Uploads, variant: Variant) -> None:
+        """`variant`: of the G-buffer of groups."""
+        self._device, self._light, self._variant = device, light, variant
+        self._materials = uploads.lighting.materials["ps_materials"]
+        self._sky = {name: one for name, one in uploads.shading.items() if name == "ps_environment"}
         self._lists: _Lists | None = None
 
     def gather(self, view: SampleView, surfaces: GBuffer, listed: Texture, entries: np.ndarray) -> dict[str, Texture]:
@@ -55,30 +60,61 @@ class GroupsInIndirectLight:
         )
         count = len(entries)
         place, up = (device.read(lists.textures[name]).reshape(-1, 4)[:count] for name in ("ps_places", "ps_ups"))
-        chosen = choose_receivers(place, up, entries[:, 0], view, TILE, FEWEST_IN_TILE, True)
-        found = self._found(view, place, up, entries[:, 0], chosen)
+        eye = view.world_from_view[:3, 3] - self._light.origin
+        groups = Groups(eye, place[:, :3] + eye, up[:, :3], place[:, 3], entries[:, 0].astype(np.int64))
+        chosen = choose_receivers(groups, view, TILE, FEWEST_IN_TILE, True)
+        found = self._found(view, groups, place, up, chosen)
         self._interpolate(view, lists, listed, chosen, found, place, up)
         return {"ps_gathered_light": lists.textures["gathered"], "ps_mirrored_light": lists.textures["mirrored"]}
 
     def _found(
-        self, view: SampleView, place: np.ndarray, up: np.ndarray, pixel: np.ndarray, chosen: Receivers
+        self, view: SampleView, groups: Groups, place: np.ndarray, up: np.ndarray, chosen: Receivers
     ) -> np.ndarray:
         """(R, 8): what receivers have gathered, or interpolated from others that are farther apart and see alike."""
-        position, normal = place[:, :3], up[:, :3]
-        to_eye = -position / np.maximum(np.linalg.norm(position, axis=1, keepdims=True), 1e-30)
+        to_eye = -place[:, :3] / np.maximum(np.linalg.norm(place[:, :3], axis=1, keepdims=True), 1e-30)
         if not view.camera.perspective:
-            to_eye = np.broadcast_to(view.world_from_view[:3, 2].astype(np.float32), position.shape)
-        mirror = 2 * (normal * to_eye).sum(axis=1, keepdims=True) * normal - to_eye
-        known = Known(position, normal)
+            to_eye = np.broadcast_to(view.world_from_view[:3, 2].astype(np.float32), to_eye.shape)
+        sole = sole_groups(groups, view)
+        known = Known(groups.position.astype(np.float32), groups.normal)
         for side in SIDES:
-            wanted = chosen if side == TILE else choose_receivers(place, up, pixel, view, side, side * side // 4, False)
+            wanted = chosen if side == TILE else choose_receivers(groups, view, side, side * side // 4, False)
             found, valid = known.interpolated(wanted.rows, wanted.pixels)
             rows = wanted.rows[~valid]
-            found[~valid] = self._light.gathered(
-                position[rows], normal[rows], CELLS, mirror[rows], lobe_sharpness(up[rows, 3])
-            )
+            at = sites_of(groups, rows, wanted.level[~valid], view, sole)
+            found[~valid] = self._gathered(at, to_eye[rows], up[rows, 3])
             if side > TILE:
                 known.add(wanted, side, found, ~valid)
+        return found
+
+    def _gathered(self, at: Sites, to_eye: np.ndarray, roughness: np.ndarray) -> np.ndarray:
+        """(n, 8): what is gathered at sites; `roughness` (n,): < 0: nothing is mirrored."""
+        light, found = self._light, np.empty((len(at.key), 8), np.float32)
+        matte = np.flatnonzero(roughness < 0)
+        smooth = np.flatnonzero(roughness >= 0)
+
+        def gather_matte(some: np.ndarray) -> np.ndarray:
+            some = matte[some]
+            diffuse = light.gathered(at.position[some], at.normal[some], CELLS, self._sky)
+            return np.column_stack([diffuse, np.zeros_like(diffuse)])
+
+        if len(matte):
+            found[matte] = light.known.lookup(at.key[matte], gather_matte)
+        if len(smooth):
+            # Sites see the mirrored view as the quantised one, so that others find what was gathered.
+            to_eye, alpha = to_eye[smooth], np.rint(roughness[smooth] * ROUGHNESSES) / ROUGHNESSES
+            normal = at.normal[smooth]
+            code, mirror = quantised_directions(
+                2 * (normal * to_eye).sum(axis=1, keepdims=True) * normal - to_eye, MIRRORS
+            )
+            keys = scrambled(at.key[smooth] ^ hashed(np.column_stack([code, alpha])))
+
+            def gather_smooth(some: np.ndarray) -> np.ndarray:
+                rows = smooth[some]
+                return light.gathered(
+                    at.position[rows], at.normal[rows], CELLS, self._sky, mirror[some], lobe_sharpness(alpha[some])
+                )
+
+            found[smooth] = light.known.lookup(keys, gather_smooth)
         return found
 
     def _interpolate(

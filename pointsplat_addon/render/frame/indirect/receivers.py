@@ -1,14 +1,21 @@
-"""Chooses the groups at which indirect light is gathered: in each tile of pixels one for each surface."""
+"""Chooses the groups at which indirect light is gathered: one in each cell of space for surfaces that are turned alike.
+
+Cells have edges of a power of two, and of the groups in one that is chosen which lies nearest to its middle: where the
+camera moves, mostly the same place of a surface.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
+from ....core.indirect.sites import FINE, Sites, cells, hashed, sites
 from ....core.numeric.record import record
 from ...passes.uniforms import SampleView
 
-DEPTHS = 4.0  # tiles' sides along a line of sight that one receiver stands for
 TURNS = 2  # steps of normals along each axis, either way
+ALIKE = 0.95  # cosine between normals of a receiver and of what the picture shows where its cell's middle is
+SAME_PLANE, SUNK = 0.1, 0.01  # edges that the middle may lie above that, and below: in hollows it would be in the dark
+WIDEST = 1.5  # edges of cells over the side of the squares of pixels that they stand for, at most; half of it at least
 
 
 @record
@@ -17,48 +24,95 @@ class Receivers:
 
     rows: np.ndarray  # (R,) int64, of the list
     pixels: np.ndarray  # (R, 2) float32: where in the picture they are
+    level: np.ndarray  # (R,) float64: binary logarithm of their cells' edges
     tiles: np.ndarray  # (rows, columns, 2) float32: the first receiver of each tile, and how many it has
 
 
-def choose_receivers(
-    place: np.ndarray, up: np.ndarray, pixel: np.ndarray, view: SampleView, side: int, fewest: int, every: bool
-) -> Receivers:
-    """Chooses receivers among N groups.
+@record
+class Groups:
+    """N groups of a picture."""
 
-    place, up: (N, 4) as of shaders/indirect/group_points.frag. pixel: (N,), row by row. `side`: of a tile, in pixels.
-    `fewest`: groups that a receiver stands for; `every`: tiles without so many of a kind have one of their largest.
+    eye: np.ndarray  # (3,) float64, in the space of the light tree
+    position: np.ndarray  # (N, 3) float64, in it
+    normal: np.ndarray  # (N, 3) float32, unit
+    depth: np.ndarray  # (N,) float32; 0: there is none
+    pixel: np.ndarray  # (N,) int64, row by row
+
+
+def sites_of(groups: Groups, rows: np.ndarray, level: np.ndarray, view: SampleView, sole: np.ndarray) -> Sites:
+    """Returns the sites of groups `rows` (n,) in cells of 2^level, (n,): the middle of each cell, in the group's plane,
+    where the picture shows that this surface is there; else a place next to the group.
+
+    `sole`: (H * W,), of sole_groups.
+    """
+    position, normal = groups.position[rows], groups.normal[rows].astype(np.float64)
+    middle, near = sites(position, normal, level), sites(position, normal, level, FINE)
+    at = middle.position - groups.eye
+    x, y, z = view.world_from_view[:3, :3].T @ at.T
+    fx, fy, cx, cy = view.camera.pixel_from_view()
+    depth = np.maximum(-z, 1e-30) if view.camera.perspective else np.ones(len(z))
+    width, height = view.size
+    with np.errstate(all="ignore"):
+        column, row = np.floor(cx + fx * x / depth), np.floor(cy + fy * y / depth)
+    within = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    other = sole[np.where(within, row * width + column, 0).astype(np.int64)]
+    within &= other >= 0
+    off = ((middle.position - groups.position[other]) * groups.normal[other]).sum(axis=1) / np.exp2(level)
+    alike = (groups.normal[other] * normal).sum(axis=1) > ALIKE
+    return middle.take(within & alike & (off > -SUNK) & (off < SAME_PLANE), near)
+
+
+def sole_groups(groups: Groups, view: SampleView) -> np.ndarray:
+    """Returns the group of each pixel that has no other, (H * W,) int64; -1: it has none, or several."""
+    width, height = view.size
+    there = np.flatnonzero(groups.depth != 0)
+    found = np.full(width * height, -1)
+    found[groups.pixel[there]] = there
+    found[np.bincount(groups.pixel[there], minlength=width * height) != 1] = -1
+    return found
+
+
+def choose_receivers(groups: Groups, view: SampleView, side: int, fewest: int, every: bool) -> Receivers:
+    """Chooses receivers among groups.
+
+    `side`: of a tile, in pixels. `fewest`: groups that a receiver stands for; `every`: where no tile around has
+    one, one is chosen for fewer.
     """
     width, height = view.size
-    number = pixel.astype(np.int64)
-    x, y = number % width, number // width
+    there = np.flatnonzero(groups.depth != 0)
+    pixel, position, normal = groups.pixel[there], groups.position[there], groups.normal[there]
+    x, y = pixel % width, pixel // width
     columns, rows = -(-width // side), -(-height // side)
     tile = (y // side) * columns + x // side
     focal = view.camera.pixel_from_view()[0]
-    depth, there = place[:, 3].astype(np.float64), place[:, 3] != 0
-    if view.camera.perspective:
-        nearest = depth[there].min(initial=np.inf)
-        far = np.floor(np.log(np.where(there, depth / nearest, 1.0)) * (focal / (DEPTHS * side)))
-    else:
-        far = np.floor(depth * (focal / (DEPTHS * side)))
-    far = (far - far.min()).astype(np.int64) & 0xFFFF
-    turn = np.clip(np.floor((up[:, :3] * 0.999 + 1) * TURNS).astype(np.int64), 0, 2 * TURNS - 1)
-    turned = (turn[:, 0] * 2 * TURNS + turn[:, 1]) * 2 * TURNS + turn[:, 2]
-    key = (tile << 23) | (far << 7) | turned
-    middle = 0.5 * (side - 1)
-    away = ((x % side - middle) ** 2 + (y % side - middle) ** 2).astype(np.int64)
-    order = np.argsort((key << 12 | np.minimum(away * 4, 4095))[there], kind="stable")
-    kept = np.flatnonzero(there)[order]
-    new = np.append(True, key[kept][1:] != key[kept][:-1]) if len(kept) else np.zeros(0, bool)
+    away = groups.depth[there].astype(np.float64) if view.camera.perspective else np.ones(len(there))
+    level = np.floor(np.log2(WIDEST * side / focal * away))
+    cell, off = cells(position, level)
+    turned = np.clip(np.floor((normal * 0.999 + 1) * TURNS), 0, 2 * TURNS - 1)
+    key = hashed(np.column_stack([level, cell, turned]))
+    order = np.lexsort((off, key))
+    new = np.append(True, key[order][1:] != key[order][:-1]) if len(order) else np.zeros(0, bool)
     first = np.flatnonzero(new)
-    number = np.diff(np.append(first, len(kept)))
-    large = number >= fewest
-    if every and len(first):
-        tiles_of = tile[kept[first]]
-        begin = np.flatnonzero(np.append(True, tiles_of[1:] != tiles_of[:-1]))
-        largest = np.repeat(np.maximum.reduceat(number, begin), np.diff(np.append(begin, len(first))))
-        large |= number == largest
-    chosen = kept[first[large]]
+    number = np.diff(np.append(first, len(order)))
+    chosen = order[first[number >= fewest]]
+    if every:
+        bare = np.flatnonzero(~_with_neighbours(tile[chosen], rows, columns)[tile])
+        of_cell = np.empty(len(order), np.int64)
+        of_cell[order] = np.cumsum(new) - 1
+        best = bare[np.lexsort((off[bare], -number[of_cell[bare]], tile[bare]))]
+        chosen = np.concatenate([chosen, best[np.diff(tile[best], prepend=-1) > 0]])
+    chosen = chosen[np.argsort(tile[chosen], kind="stable")]
     counts = np.bincount(tile[chosen], minlength=rows * columns)
     starts = np.cumsum(counts) - counts
     tiles = np.stack([starts, counts], axis=1).astype(np.float32).reshape(rows, columns, 2)
-    return Receivers(chosen, np.stack([x[chosen], y[chosen]], axis=1).astype(np.float32) + np.float32(0.5), tiles)
+    pixels = np.stack([x[chosen], y[chosen]], axis=1).astype(np.float32) + np.float32(0.5)
+    return Receivers(there[chosen], pixels, level[chosen], tiles)
+
+
+def _with_neighbours(tile: np.ndarray, rows: int, columns: int) -> np.ndarray:
+    """(rows * columns,) bool: tiles that are among `tile` (n,), or next to one."""
+    found = np.zeros((rows + 2, columns + 2), bool)
+    y, x = tile // columns, tile % columns
+    for step in range(9):
+        found[y + step // 3, x + step % 3] = True
+    return found[1:-1, 1:-1].ravel()

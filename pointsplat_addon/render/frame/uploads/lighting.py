@@ -168,6 +168,17 @@ class LightingUploads:
         """Returns what shading reads, by sampler name, with shadows in the space of another view, (4, 4)."""
         return self.textures | bound_textures(**self._records(view_from_world))
 
+    def textures_for_all_cameras(self, view_from_world: np.ndarray) -> dict[str, Texture]:
+        """Returns what shading reads, by sampler name, in a space, (4, 4), that is no camera's, without shadow maps
+        that are nested in others for one."""
+        scene, textures = self._scene, self.textures_in(view_from_world)
+        rows = light_texture(scene.lights, scene.world, view_from_world, *self._surface)
+        textures["ps_lights"] = self._scope.view_texture(rows)
+        if self._maps is not None and self._maps.of_scene is not None:
+            textures["ps_shadow_maps"] = self._drawn_maps(self._maps.of_scene)
+            textures["ps_map_lights"] = self._scope.view_texture(self._maps.of_scene.records(view_from_world))
+        return textures
+
     def _hair_escape(self) -> np.ndarray:
         """Returns how much light leaves the hair of each material, (M,): of the strands with most hairs, in view or
         not."""

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from ....core.scene.camera import Camera
 from ....core.scene.scene import Scene
 from ...cache.device_cache import DeviceCache
+from ...cache.keys import Key
 from ...cache.store import Store
 from ...device.protocol import Texture
 from ...plan.plan import Plan
@@ -86,6 +88,10 @@ class Uploads:
         self, store: Store, scene: Scene, plan: Plan, names: tuple[str, ...], shadows: Shadows | None
     ) -> LightingUploads:
         return LightingUploads(self._scope, store, scene, replace(plan, lighting=names), shadows, materials=False)
+
+    def lookup(self, key: Key, make: Callable[[], Any]) -> Any:
+        """Returns what `make` puts on the device, made once for `key`; it stays at least as long as the frame."""
+        return self._scope.lookup(key, make)
 
     @property
     def shared(self) -> dict[str, Texture]:

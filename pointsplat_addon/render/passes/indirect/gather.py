@@ -13,8 +13,6 @@ CELLS = 8  # along either side of a hemisphere
 BOUNCE_CELLS = 6  # where what is gathered lights other surfaces
 COARSENESS = 1.0  # cells that a node may cover
 GATHER_BLOCK = block("Gather", (("int", "root"), ("float", "coarseness")))
-# With a picture of the sky, which is looked up in view space.
-PICTURE_BLOCK = block("GatherPicture", (("mat4", "view_from_world"), ("int", "root"), ("float", "coarseness")))
 
 
 def gather_program(world: tuple[str, ...], glossy: bool, cells: int = CELLS) -> Interface:
@@ -23,7 +21,7 @@ def gather_program(world: tuple[str, ...], glossy: bool, cells: int = CELLS) -> 
     picture = (("FLOAT_2D", "ps_environment"),) if "PS_HAS_ENVIRONMENT" in world else ()
     names = (*world, *(("PS_GLOSSY",) if glossy else ()))
     return Interface(
-        "gather", fragment="indirect/gather.frag", block=PICTURE_BLOCK if picture else GATHER_BLOCK,
+        "gather", fragment="indirect/gather.frag", block=GATHER_BLOCK,
         outputs=(("vec4", "out_diffuse"), *((("vec4", "out_glossy"),) if glossy else ())),
         samplers=(*(("FLOAT_2D", name) for name in ("ps_nodes", "ps_receivers")), *lights, *picture),
         defines=(("PS_NODE_WIDTH", str(NODE_WIDTH)), ("PS_CELLS", str(cells)), *((name, "1") for name in names)),

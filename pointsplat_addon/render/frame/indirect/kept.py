@@ -1,0 +1,94 @@
+"""The light tree of a scene, kept on the device from picture to picture, and on disk for other processes."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import fields
+
+import numpy as np
+
+from ....core.scene.camera import Camera
+from ....core.scene.scene import Scene
+from ...cache.keys import Key, Kind
+from ...cache.on_disk import form_of_records
+from ...cache.store import Store
+from ...device.protocol import Device
+from ...indirect.light import BakedLight, IndirectLight, bake_light, world_names
+from ...indirect.surfels import scene_density, scene_surfels
+from ...plan.plan import Plan
+from ..uploads.lighting import ArrayIdentity
+from ..uploads.uploads import Uploads
+
+FORM = form_of_records(BakedLight)
+
+
+def kept_light(
+    device: Device,
+    uploads: Uploads,
+    scene: Scene,
+    camera: Camera,
+    plan: Plan,
+    bounces: int,
+    store: Store,
+    check: Callable[[], None],
+) -> IndirectLight | None:
+    """Returns the indirect light of a scene; None where nothing hides or scatters light.
+
+    It depends on the camera only as the density of surfels does. Raises what `check` raises.
+    """
+    density, origin = scene_density(scene, camera, store)
+    lighting = tuple(name for name in plan.lighting if name != "PS_SHADOW_NESTED")
+    light, instances = uploads.lighting, scene.instances
+    depends_on = (
+        density.key, _digest(instances.geometry, instances.world_from_object), _digest(*_values(scene.materials)),
+        tuple(_digest(*_values(one)) for one in scene.lights), _world_digest(scene, store),
+        light.shadow_key, lighting, bounces,
+    )  # fmt: skip
+    key = Key(Kind.LIGHT_TREE, tuple(geometry.key for geometry in scene.geometries), other=depends_on)
+
+    def bake() -> BakedLight:
+        surfels = scene_surfels(scene, density, origin, store, check)
+        if surfels is None:
+            return BakedLight(origin, np.zeros((0, 16), np.float32))
+        textures = light.textures
+        if scene.lights and bounces > 0:
+            shift = np.eye(4)
+            shift[:3, 3] = -origin
+            textures = light.textures_for_all_cameras(shift)
+        return bake_light(device, scene, surfels, lighting, textures, bounces, check)
+
+    def make() -> IndirectLight:
+        baked = light.on_disk.lookup(key, bake, FORM, device.limits.driver)
+        return IndirectLight(device, baked, scene.world, world_names(lighting))
+
+    found: IndirectLight = uploads.lookup(key, make)
+    return None if found.empty else found
+
+
+def _values(of: object) -> list[object]:
+    """What a record holds."""
+    return [getattr(of, f.name) for f in fields(of)]  # type: ignore[arg-type]
+
+
+def _world_digest(scene: Scene, store: Store) -> bytes:
+    world, image = scene.world, scene.world.image
+    of_image = b""
+    if image is not None:
+        of_image = store.lookup(Key(Kind.IMAGE_DIGEST, ArrayIdentity(image)), lambda: _digest(image))
+    return _digest(world.color, world.world_rotation, of_image)
+
+
+def _digest(*of: object) -> bytes:
+    """A short hash of arrays, numbers, names and what graphs of materials are."""
+    found = hashlib.blake2b(digest_size=16)
+    for one in of:
+        if isinstance(one, np.ndarray):
+            found.update(repr((one.shape, one.dtype.str)).encode() + np.ascontiguousarray(one).tobytes())
+        elif isinstance(one, tuple):
+            found.update(b"(" + b"".join(_digest(part) for part in one))
+        elif isinstance(one, bytes):
+            found.update(one)
+        else:
+            found.update(str(getattr(one, "digest", one)).encode())
+    return found.digest()
