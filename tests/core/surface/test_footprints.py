@@ -73,9 +73,11 @@ def test_normals_that_turn_have_a_shorter_mean():
 def test_places_hold_at_all_scales(scale):
     position = np.array([[1.5, 2.0, 0.5]])
     mesh = triangle((scale * POSITION).astype(np.float32))
-    samples = footprints(mesh, np.zeros(1, np.int64), scale * position, [[scale, 0, 0]], [[0, scale, 0]])
-    once = footprints(triangle(), np.zeros(1, np.int64), position, [[1, 0, 0]], [[0, 1, 0]])
+    across, along = np.array([[1.0, 0, 0]]), np.array([[0, 1.0, 0]])
+    samples = footprints(mesh, np.zeros(1, np.int64), scale * position, scale * across, scale * along)
+    once = footprints(triangle(), np.zeros(1, np.int64), position, across, along)
     assert once.ellipse is not None
+    assert samples.ellipse is not None
     np.testing.assert_allclose(samples.barycentric, once.barycentric, rtol=1e-6)
     np.testing.assert_allclose(samples.ellipse, once.ellipse, rtol=1e-6, atol=1e-7)
 
