@@ -434,7 +434,8 @@ def polygon_irradiance(vertices: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def _narrow_irradiance(position: np.ndarray, normal: np.ndarray, light: Light) -> np.ndarray:
-    """Irradiance of an area light whose beam is narrowed: a grid over the part that can shine here."""
+    """Irradiance of an area light whose beam is narrowed: a grid over the part that can shine here. Rows of an ellipse
+    lie at even angles, and are as long as its chords."""
     axis_u, axis_v = area_axes(light)
     half = np.array([np.linalg.norm(axis_u), np.linalg.norm(axis_v)])
     unit = np.stack([axis_u, axis_v]) / half[:, None]
@@ -443,19 +444,27 @@ def _narrow_irradiance(position: np.ndarray, normal: np.ndarray, light: Light) -
     foot = offset @ unit.T
     reach = (height * np.tan(light.spread / 2))[:, None]
     low, high = np.maximum(foot - reach, -half), np.minimum(foot + reach, half)
-    size = np.maximum(high - low, 0) / SPREAD_CELLS
+    ends = np.stack([low[:, 1], high[:, 1]], axis=1)
+    if light.ellipse:
+        ends = np.arcsin(np.clip(ends / half[1], -1, 1))
+    between = np.maximum(ends[:, 1] - ends[:, 0], 0) / SPREAD_CELLS
 
     total = np.zeros(len(position))
     for cell in range(SPREAD_CELLS**2):
-        place = low + size * (np.array([cell % SPREAD_CELLS, cell // SPREAD_CELLS]) + 0.5)
+        row = ends[:, 0] + between * (cell // SPREAD_CELLS + 0.5)
+        chord = np.cos(row) if light.ellipse else np.ones_like(row)
+        left, right = np.maximum(low[:, 0], -chord * half[0]), np.minimum(high[:, 0], chord * half[0])
+        width = np.maximum(right - left, 0) / SPREAD_CELLS
+        across = left + width * (cell % SPREAD_CELLS + 0.5)
+        place = np.stack([across, half[1] * np.sin(row) if light.ellipse else row], axis=1)
         to_light = light.position + place @ unit - position
         d2 = (to_light**2).sum(1)
         d = np.sqrt(d2)
         cos_light = height / d
-        lit = ((place / half) ** 2).sum(1) <= 1 if light.ellipse else True
         cosine = np.maximum(_dot(to_light, normal) / d, 0)
-        total += np.where(lit, _beam(cos_light, light.spread / 2) * cosine * cos_light / d2, 0.0)
-    return total * size[:, 0] * size[:, 1]
+        area = width * between * (half[1] * chord if light.ellipse else 1)
+        total += area * _beam(cos_light, light.spread / 2) * cosine * cos_light / d2
+    return total
 
 
 def _beam(cosine: np.ndarray, half_spread: float) -> np.ndarray:

@@ -109,29 +109,33 @@ float ps_beam(PsArea area, float cosine)
 
 #ifdef PS_HAS_BEAMS
 
-// Irradiance from a light whose beam is narrowed: a sum over a grid on the part of it that can shine here.
+// Irradiance from a light whose beam is narrowed: a sum over a grid on the part of it that can shine here. Rows of an ellipse
+// lie at even angles, and are as long as its chords, so that they have its area.
 float ps_beam_irradiance(PsArea area, float height, bool ellipse, vec3 normal)
 {
   vec3 unit_u = area.axis_u / area.extent.x, unit_v = area.axis_v / area.extent.y;
   vec2 foot = -vec2(dot(area.offset, unit_u), dot(area.offset, unit_v));
   float extent = height * area.limit;
   vec2 low = max(foot - extent, -area.extent), high = min(foot + extent, area.extent);
-  vec2 size = max(high - low, 0.0) / float(PS_SPREAD_CELLS);
-  int rows = area.beam == 0.0 || size.x * size.y == 0.0 ? 0 : PS_SPREAD_CELLS;
+  vec2 ends = ellipse ? asin(clamp(vec2(low.y, high.y) / area.extent.y, -1.0, 1.0)) : vec2(low.y, high.y);
+  float between = max(ends.y - ends.x, 0.0) / float(PS_SPREAD_CELLS);
+  int rows = area.beam == 0.0 || between * max(high.x - low.x, 0.0) == 0.0 ? 0 : PS_SPREAD_CELLS;
   float total = 0.0;
   for (int row = 0; row < rows; row++) {
-    vec2 at = low + size * vec2(0.5, float(row) + 0.5);
+    float place = ends.x + between * (float(row) + 0.5), chord = ellipse ? cos(place) : 1.0;
+    float left = max(low.x, -chord * area.extent.x), right = min(high.x, chord * area.extent.x);
+    float width = max(right - left, 0.0) / float(PS_SPREAD_CELLS), of_row = 0.0;
+    vec2 at = vec2(left + 0.5 * width, ellipse ? area.extent.y * sin(place) : place);
     for (int column = 0; column < PS_SPREAD_CELLS; column++) {
-      vec2 relative = at / area.extent;
       vec3 to_light = area.offset + at.x * unit_u + at.y * unit_v;
       float inverse = inversesqrt(dot(to_light, to_light));
       float cosine = max(dot(to_light, normal), 0.0) * inverse;
-      float part = ps_beam(area, height * inverse) * cosine * height * inverse * inverse * inverse;
-      total += ellipse && dot(relative, relative) > 1.0 ? 0.0 : part;
-      at.x += size.x;
+      of_row += ps_beam(area, height * inverse) * cosine * height * inverse * inverse * inverse;
+      at.x += width;
     }
+    total += of_row * width * (ellipse ? area.extent.y * chord : 1.0);
   }
-  return total * size.x * size.y;
+  return total * between;
 }
 
 #endif
