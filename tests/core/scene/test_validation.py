@@ -28,7 +28,7 @@ COUNTED = {
     Strands: {"start", "material"},
     MaterialTable: {"cull", "pass_index", "hash", "translucent"},
     HairTable: {"used"},
-    Instances: {"geometry", "pass_index", "holdout", "matte", "casts", "object_hash"},
+    Instances: {"geometry", "pass_index", "holdout", "matte", "casts", "seen", "object_hash"},
     v.Volume: {"index"},
 }
 
