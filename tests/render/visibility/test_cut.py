@@ -58,11 +58,12 @@ def test_a_surface_covers_as_many_samples_as_its_alpha_says(alpha, samples, tech
 @pytest.mark.parametrize("samples", [1, 5, 17, 68])
 @pytest.mark.parametrize(("alpha", "cards"), [(0.5, 2), (0.3, 3), (0.2, 8)])
 def test_transmittances_of_surfaces_behind_each_other_multiply(alpha, cards, samples, technique):
-    truth, found = 1 - (1 - alpha) ** cards, covered(alpha, cards, samples, technique, cells=8)
-    # measured at most 0.039, 0.031, 0.016, 0.019: of 128 triangles a card, a few pairs have the same thresholds
-    assert found.mean() == pytest.approx(truth, abs={1: 0.06, 5: 0.05, 17: 0.03, 68: 0.03}[samples])
+    truth, found = 1 - (1 - alpha) ** cards, covered(alpha, cards, samples, technique, cells=64)
+    # Pairs of triangles have thresholds as if by chance: of few in view, which pairs there are would decide.
+    # measured at most 0.0086, 0.0051, 0.0029, 0.0023
+    assert found.mean() == pytest.approx(truth, abs={1: 0.012, 5: 0.008, 17: 0.005, 68: 0.004}[samples])
     if technique == "VISIBILITY":
-        # measured at most 0.77 of that of independent samples
+        # measured at most 0.81 of that of independent samples
         assert found.std() < 0.9 * (truth * (1 - truth) / samples) ** 0.5
 
 
