@@ -97,6 +97,7 @@ RULES: dict[type, dict[str, Rule]] = {
         "far": Rule(LATER),
         "previous_view_from_world": Rule(DEFAULT, *_DISTANCE),  # without them nothing moves
         "previous_clip_from_view": Rule(DEFAULT, *_DISTANCE),
+        "coarseness": Rule(DEFAULT, 1, 1e6),
     },
     # A lens without a size blurs nothing; focus is as good as at infinity where it is farther than all else.
     Aperture: {
@@ -316,6 +317,9 @@ def _valid_camera(camera: Camera, warnings: list[str]) -> tuple[Camera, bool]:
     elif camera.aperture is not None and (lens := _wrong(camera.aperture, LEAVE_OUT)):
         changed["aperture"] = None
         warnings.append(f"Camera: its lens's {' and '.join(lens)} cannot be drawn, so nothing is out of focus")
-    if _wrong(camera, DEFAULT):
+    wrong = _wrong(camera, DEFAULT)
+    if "coarseness" in wrong:
+        changed["coarseness"] = 1.0
+    if set(wrong) - {"coarseness"}:
         changed |= {"previous_view_from_world": None, "previous_clip_from_view": None}
     return (replace(camera, **changed) if changed else camera), not unseen
