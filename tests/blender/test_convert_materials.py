@@ -540,6 +540,13 @@ def principled(tree, **inputs):
     return output(node(tree, "ShaderNodeBsdfPrincipled", {k.replace("_", " "): v for k, v in inputs.items()}))
 
 
+def test_layers_of_principled_surfaces_that_are_left_out_are_named():
+    lacquer = surface("lacquer", lambda t: principled(t, Coat_Weight=0.5, Sheen_Weight=0.2))
+    table, warnings = convert_materials([lacquer])
+    assert len(table) == 2
+    assert warnings == ['Material "lacquer": node "Principled BSDF" is drawn without its coat and sheen']
+
+
 def test_a_table_of_constants_has_the_default_material_first():
     plain = surface(
         "plain", lambda t: principled(t, Base_Color=(0.1, 0.2, 0.3, 1), Roughness=0.7, Metallic=0.4, Alpha=0.6)

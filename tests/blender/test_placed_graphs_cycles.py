@@ -5,7 +5,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from tests.support.blender.scenes import mesh_object, new_material, node, picture
+from tests.support.blender.scenes import draw_beside_cycles, mesh_object, new_material, node, picture
 
 CUBE = [(x, y, z) for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)]
 FACES = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
@@ -91,13 +91,7 @@ def scene(empty_file):
     scene.camera.location, scene.camera.rotation_euler = (3, -6, 3), (1.19, 0, 0.464)
     for item in (scene.camera, shining):
         scene.collection.objects.link(item)
-    render, cycles = scene.render, scene.cycles
-    render.resolution_x, render.resolution_y = 192, 144
-    if bpy.app.version >= (5, 0, 0):
-        render.image_settings.media_type = "IMAGE"
-    render.image_settings.file_format, render.image_settings.color_depth = "OPEN_EXR", "32"
-    cycles.device, cycles.samples, cycles.max_bounces = "CPU", 128, 0
-    cycles.use_adaptive_sampling = cycles.use_denoising = False
+    draw_beside_cycles(scene, (192, 144), 128)
     return scene
 
 

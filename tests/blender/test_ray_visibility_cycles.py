@@ -5,7 +5,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from tests.support.blender.scenes import mesh_object, picture
+from tests.support.blender.scenes import draw_beside_cycles, mesh_object, picture
 
 
 @pytest.fixture
@@ -21,13 +21,7 @@ def scene(empty_file):
     scene.camera.location, scene.camera.rotation_euler = (3, -6, 5), (0.97, 0, 0.464)
     for item in (scene.camera, shining):
         scene.collection.objects.link(item)
-    render, cycles = scene.render, scene.cycles
-    render.resolution_x, render.resolution_y = 96, 72
-    if bpy.app.version >= (5, 0, 0):
-        render.image_settings.media_type = "IMAGE"
-    render.image_settings.file_format, render.image_settings.color_depth = "OPEN_EXR", "32"
-    cycles.device, cycles.samples, cycles.max_bounces = "CPU", 64, 0
-    cycles.use_adaptive_sampling = cycles.use_denoising = False
+    draw_beside_cycles(scene, (96, 72), 64)
     return scene
 
 

@@ -6,7 +6,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from pointsplat_addon.host.sync import Synchronizer
-from tests.support.blender.scenes import mesh_object, new_material, node, picture, sync
+from tests.support.blender.scenes import draw_beside_cycles, mesh_object, new_material, node, picture, sync
 
 OUTPUTS = [
     ("NewGeometry", "Position"),
@@ -42,13 +42,8 @@ def scene(empty_file):
     scene.camera = bpy.data.objects.new("camera", camera)
     scene.camera.location = 2, 1.5, 5
     scene.collection.objects.link(scene.camera)
-    render, cycles = scene.render, scene.cycles
-    render.resolution_x, render.resolution_y, render.filter_size = 8, 4, 0.01
-    if bpy.app.version >= (5, 0, 0):
-        render.image_settings.media_type = "IMAGE"
-    render.image_settings.file_format, render.image_settings.color_depth = "OPEN_EXR", "32"
-    cycles.device, cycles.samples, cycles.filter_width = "CPU", 1, 0.01
-    cycles.use_adaptive_sampling = cycles.use_denoising = False
+    draw_beside_cycles(scene, (8, 4), 1)
+    scene.render.filter_size = scene.cycles.filter_width = 0.01
     return scene
 
 

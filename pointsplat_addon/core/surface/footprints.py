@@ -3,6 +3,8 @@ more where it does."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..material.evaluation import Appearance
@@ -53,6 +55,7 @@ def over_footprints(
 ) -> Appearance:
     """The appearance of a mesh, its mean over each sample's footprint; all but alpha. The mean of normals is the
     shorter the more they turn. scale: (N,), see at_places."""
+    graphs = {row: replace(graph, alpha=None, transmission_color=None) for row, graph in graphs.items()}
     seen, triangle = np.unique(samples.triangle, return_inverse=True)
     mesh = mesh.take(seen)
     samples = Samples(samples.method, triangle.reshape(-1).astype(np.int32), samples.barycentric, samples.ellipse)

@@ -50,7 +50,7 @@ class PaneMaps:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Of the texture of all layers: each layer's depths, then the shares of each channel, then the next layer."""
+        """Columns and rows of the texture of all layers: of each its depths, then the shares of each channel."""
         return self.maps.size[0], self.layers * self.layer_height
 
     @property

@@ -46,6 +46,18 @@ def glowing(scene, count):
     return materials
 
 
+def draw_beside_cycles(scene, size: tuple[int, int], samples: int) -> None:
+    """Sets a scene up for `picture` by either engine: direct light, float32, and of Cycles so many samples, unfiltered
+    by denoising."""
+    render, cycles = scene.render, scene.cycles
+    render.resolution_x, render.resolution_y = size
+    if bpy.app.version >= (5, 0, 0):
+        render.image_settings.media_type = "IMAGE"
+    render.image_settings.file_format, render.image_settings.color_depth = "OPEN_EXR", "32"
+    cycles.device, cycles.samples, cycles.max_bounces = "CPU", samples, 0
+    cycles.use_adaptive_sampling = cycles.use_denoising = False
+
+
 def picture(scene, folder: Path) -> np.ndarray:
     scene.render.filepath = str(folder / "cycles.exr")
     bpy.ops.render.render(write_still=True)

@@ -254,7 +254,7 @@ class LasReader(FileReader):
 
 
 def _shape(attribute: Attribute) -> tuple[int, ...]:
-    """Of one point's value of a column."""
+    """The shape of one point's value in a column: () for scalars."""
     return (attribute.components,) if attribute.components > 1 else ()
 
 

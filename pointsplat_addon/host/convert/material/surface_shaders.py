@@ -38,7 +38,12 @@ def read_surface(tree: TreeReader, socket: bpy.types.NodeSocket, path: Path) -> 
     return convert(NodeReader(tree, output.node, path))
 
 
+LEFT_OUT = {"Coat Weight": "coat", "Sheen Weight": "sheen", "Subsurface Weight": "subsurface scattering"}
+
+
 def _principled(node: NodeReader) -> Surface:
+    if layers := [layer for weight, layer in LEFT_OUT.items() if not is_constant(node[weight], 0)]:
+        node.warn(f"is drawn without its {' and '.join(layers)}")
     solid = Surface(
         base_color=node["Base Color"],
         roughness=node["Roughness"],

@@ -214,9 +214,11 @@ class Visibility:
         if self._polygons is not None:
             lattice, draws, scene = self._targets.buffer.lattice, self._polygons.draws, self._uploads.scene
             placed = placed_textures(self._device, scene, draws, variant, view, lattice, groups, leaders)
-            self._polygons.write_attributes(variant, view, shared, groups, leaders, out, placed)
-            for texture in placed.values():
-                texture.release()
+            try:
+                self._polygons.write_attributes(variant, view, shared, groups, leaders, out, placed)
+            finally:
+                for texture in placed.values():
+                    texture.release()
         if self._strands is not None:
             held = {**shared, **self._uploads.strands.instances}
             self._strands.write_attributes(variant, view, held, groups, leaders, out)

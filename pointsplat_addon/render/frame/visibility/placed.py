@@ -56,8 +56,10 @@ def placed_textures(
     found = {name: np.zeros((texels, CHANNELS[PLACED[name]]), np.float32) for name in names}
     width = leaders.size[0] if leaders.central else view.size[0]
 
-    def evaluate(draw: Drawn, mesh: Mesh, slot: np.ndarray, triangle: np.ndarray, here: np.ndarray) -> None:
-        """Of triangles (N,) of a mesh, drawn by slots (N,), that are shown by groups (N,)."""
+    def evaluate(draw: Drawn, mesh: Mesh, places: tuple[np.ndarray, ...], block: slice) -> None:
+        """Writes into `found` what graphs are at a block of places on a mesh: slots of the draw (N,), triangles of the
+        mesh (N,), and the groups that show these (N,)."""
+        slot, triangle, here = (array[block] for array in places)
         graphs = graphs_of(mesh, scene.materials)
         if not draw.groups[0].blocks:  # all triangles of a page that are drawn alike are placed
             graphs = {group.material: graphs[group.material] for group in draw.groups if group.placed}
@@ -78,9 +80,6 @@ def placed_textures(
                 values = np.column_stack([unit_rows(values), spread])
             out[here, : values.shape[1]] = values
 
-    def work(draw: Drawn, mesh: Mesh, places: tuple[np.ndarray, ...], block: slice) -> None:
-        evaluate(draw, mesh, *(array[block] for array in places))
-
     for draw in shown:
         mine = np.flatnonzero((number >= draw.first_id) & (number < draw.first_id + draw.triangles))
         slot, triangle = draw.locate(number[mine] - draw.first_id)
@@ -93,7 +92,7 @@ def placed_textures(
                 materials = [group.material for group in draw.groups if group.placed]
                 own = own[np.isin(mesh.material[triangle[own]], materials)]
             places = slot[own], triangle[own], mine[own]
-            each_block(len(own), partial(work, draw, mesh, places), BLOCK)
+            each_block(len(own), partial(evaluate, draw, mesh, places), BLOCK)
     return {name: device.texture(leaders.size, PLACED[name], values.reshape(-1)) for name, values in found.items()}
 
 
