@@ -9,6 +9,7 @@ import numpy as np
 from pointsplat_addon.core.material.graph import MaterialGraph
 from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, math_nodes, texture_nodes
 from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from scripts.scenes.build import materials, mesh, moved, picture, points, scene
 from scripts.scenes.cameras import camera, look_at
@@ -72,9 +73,9 @@ def waves() -> Case:
         sine = math_nodes.Math(angle, zero, zero, "SINE")
         return math_nodes.Math(sine, sine, zero, "MULTIPLY")
 
-    color = color_nodes.Color(wave(0, 7.0))
+    color = color_nodes.Color(wave(0, 2.0))
     graphs = (
-        MaterialGraph(base_color=color, roughness=wave(1, 5.0), emission=color_nodes.Color(wave(2, 4.0))),
+        MaterialGraph(base_color=color, roughness=wave(1, 2.0), emission=color_nodes.Color(wave(2, 1.2))),
         MaterialGraph(base_color=color, normal=input_nodes.Coordinates("position")),
     )
     large, small = mesh(cube_mesh("waves"), "POLYGONS"), replace(cube_mesh("waves small", 0.5), materials=(1,))
@@ -87,6 +88,7 @@ def waves() -> Case:
             table=materials(2, graphs=graphs),
         ),
         camera((0.5, -5, 2)),
+        Settings(technique="VISIBILITY", use_shadows=False),
     )
 
 
