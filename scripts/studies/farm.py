@@ -116,8 +116,10 @@ def killed(folder: Path, frames: int, seed: int) -> None:
         moments = sorted(rng.sample(range(2, frames - 8), 3))
         events = ["worker", "scheduler", "worker"]
         for moment, event in zip(moments, events, strict=True):
-            while len(watch.seen) < moment:
+            while len(watch.seen) < moment and client.poll() is None:
                 time.sleep(0.05)
+            if client.poll() is not None:
+                raise RuntimeError(f"the film ended early: {folder / 'client.log'} says why")
             time.sleep(rng.uniform(0, 4))
             print(f"{len(watch.seen)} frames are there: the {event} is killed", flush=True)
             if event == "worker":
