@@ -7,6 +7,8 @@ neighbours bound. Where neighbours lie on no plane, as in foliage, on wires and 
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from ...numeric.record import record
@@ -50,9 +52,11 @@ def estimate_ellipses(position: np.ndarray) -> Ellipses:
     turned upwards; see `turn_towards`.
     """
     orders = make_orders(position)
-    place, unit = orders.place, orders.unit
-    arrays = _distinct_ellipses(orders)
-    del orders  # so that little is held twice
+    place, unit, further = orders.place, orders.unit, orders.order
+    fits = _fitted(orders)
+    del orders  # so that positions and ranks are not held beside what follows
+    arrays = _ellipses(further, *fits)
+    del further, fits
     for name in list(arrays):
         arrays[name] = _spread(arrays.pop(name), place)
     for name in ("radii", "offset"):
@@ -60,8 +64,9 @@ def estimate_ellipses(position: np.ndarray) -> Ellipses:
     return Ellipses(**arrays)
 
 
-def _distinct_ellipses(orders: Orders) -> dict[str, np.ndarray]:
-    """The fields of Ellipses for distinct positions (M, ...), by name; lengths in the orders' unit."""
+def _fitted(orders: Orders) -> tuple[np.ndarray, ...]:
+    """Planes and closing ellipses of distinct positions: normals (M, 3), major axes (M, 3), half-axes (M, 2), centres
+    (M, 3) of the cells, radii (M,) of balls, and thickness (M,): 1 where there is no plane. Lengths in units."""
     count = len(orders)
     normal, axis, radii, centre = (np.zeros((count, width), np.float32) for width in (3, 3, 2, 3))
     ball, thickness = np.zeros(count, np.float32), np.ones(count, np.float32)
@@ -78,7 +83,21 @@ def _distinct_ellipses(orders: Orders) -> dict[str, np.ndarray]:
 
     if count > 1:
         each_block(count, fit, BLOCK)
-    roughness = _mean_of_neighbours(orders, thickness) + INCOHERENCE * (1 - _coherence(orders, normal))
+    return normal, axis, radii, centre, ball, thickness
+
+
+def _ellipses(
+    orders: tuple[np.ndarray, ...],
+    normal: np.ndarray,
+    axis: np.ndarray,
+    radii: np.ndarray,
+    centre: np.ndarray,
+    ball: np.ndarray,
+    thickness: np.ndarray,
+) -> dict[str, np.ndarray]:
+    """The fields of Ellipses, by name, from what `_fitted` returns, which is changed, and the further orders."""
+    roughness = _mean_of_neighbours(orders, thickness)
+    roughness += INCOHERENCE * (1 - _coherence(orders, normal))
     roughness *= np.maximum(1, radii[:, 0] / np.maximum(WIDE * ball, np.float32(1e-30)))
     lone = ~((thickness < 1) & (roughness < SPACE) & (radii[:, 1] > 0))
     # Disks of stray points would be far larger than those near them.
@@ -132,7 +151,7 @@ def _ball_radius(squared: np.ndarray) -> np.ndarray:
     return HALF * total / np.maximum(there.sum(axis=0), 1)
 
 
-def _coherence(orders: Orders, normal: np.ndarray) -> np.ndarray:
+def _coherence(orders: tuple[np.ndarray, ...], normal: np.ndarray) -> np.ndarray:
     """Means (M,) of the squared cosines between the normals (M, 3) of points and those near them."""
     result = np.zeros(len(normal), np.float32)
     for i in range(3):
@@ -143,22 +162,24 @@ def _coherence(orders: Orders, normal: np.ndarray) -> np.ndarray:
     return result
 
 
-def _mean_of_neighbours(orders: Orders, values: np.ndarray) -> np.ndarray:
-    """Means (M,) over windows of all orders: over what lies near each point."""
-    result = np.zeros(len(values), np.float32)
-    half = min(WINDOW // 2, len(values) - 1)
-    total, mean = np.empty(len(values) + 1), np.empty(len(values), np.float32)
-    for i in range(1 + len(orders.order)):
-        total[0] = 0
-        np.cumsum(values if i == 0 else values[orders.order[i - 1]], out=total[1:])
-        width = 2 * half + 1
-        if len(values) >= width:
-            mean[half : len(values) - half] = (total[width:] - total[:-width]) / width
-        for at in {*range(min(half, len(values))), *range(max(len(values) - half, 0), len(values))}:  # the ends
-            low, high = max(at - half, 0), min(at + half + 1, len(values))
-            mean[at] = (total[high] - total[low]) / (high - low)
-        result += mean if i == 0 else mean[orders.rank[i - 1]]
-    result /= 1 + len(orders.order)
+def _mean_of_neighbours(orders: tuple[np.ndarray, ...], values: np.ndarray) -> np.ndarray:
+    """Means (M,) over windows of the first order and the further `orders`: over what lies near each point."""
+    count = len(values)
+    half = min(WINDOW // 2, count - 1)
+    result = np.zeros(count, np.float32)
+
+    def add(order: np.ndarray | None, block: slice) -> None:
+        low, high = max(block.start - half, 0), min(block.stop + half, count)
+        total = np.zeros(high - low + 1)
+        np.cumsum(values[low:high] if order is None else values.take(order[low:high]), out=total[1:])
+        own = np.arange(block.start, block.stop)
+        first, last = np.maximum(own - half, 0) - low, np.minimum(own + half + 1, count) - low
+        # Each point is in one block of an order.
+        result[block if order is None else order[block]] += (total[last] - total[first]) / (last - first)
+
+    for order in (None, *orders):
+        each_block(count, partial(add, order))
+    result /= 1 + len(orders)
     return result
 
 
