@@ -66,8 +66,9 @@ def test_a_floor_has_what_the_cube_leaves_of_the_light(light: Light, worst: floa
         on_floor = on_floor & np.roll(on_floor, by, axis=along)
     away = (pixels["position"] - light.position) @ light.direction
     on_floor &= np.abs(away) > 0.15  # nearer to the light, so many points of it do not make an integral
-    expected = irradiance(light, pixels["position"][on_floor].astype(float))
-    found = pixels["combined"][on_floor, 0].astype(float)
+    some = np.flatnonzero(on_floor)[::6]  # for the integrals' sake
+    expected = irradiance(light, pixels["position"].reshape(-1, pixels["position"].shape[-1])[some].astype(float))
+    found = pixels["combined"][..., 0].reshape(-1)[some].astype(float)
     bright = expected > 0.2 * expected.max()
     found *= np.median(expected[bright] / found[bright])
     error = np.abs(found - expected) / expected.max()
