@@ -24,6 +24,16 @@ class HairTable:
 
 
 @record
+class CoatTable:
+    """The clear layer above each row's surface: a dielectric GGX lobe, which shades what lies below."""
+
+    weight: np.ndarray  # (M,) float32 in [0, 1]: the share of the surface that is coated
+    roughness: np.ndarray  # (M,) float32, as that of the surface
+    ior: np.ndarray  # (M,) float32
+    tint: np.ndarray  # (M, 3) float32 in [0, 1]: transmittance of the layer along its normal
+
+
+@record
 class MaterialTable:
     """Constants for each material (row 0 is the default material). Attributes on points override them."""
 
@@ -48,6 +58,7 @@ class MaterialTable:
     media: tuple[Medium | None, ...] = ()  # what fills volumes of each material
     graphs: tuple[object | None, ...] = ()  # core.materials.Graph for materials whose inputs vary, else None
     hair: HairTable | None = None  # what strands of the materials are besides; None: none of them is hair
+    coat: CoatTable | None = None  # None: nothing is coated
 
     def __len__(self) -> int:
         return len(self.roughness)

@@ -19,7 +19,7 @@ from .camera import Aperture, Camera
 from .captured import CapturedSplats
 from .cloud import FARTHEST, LENGTHS, PointCloud
 from .lights import Light
-from .materials import HairTable, MaterialTable, default_materials
+from .materials import CoatTable, HairTable, MaterialTable, default_materials
 from .mesh import LARGEST, Mesh
 from .scene import Geometry, Instances, PointSize, Scene, StreamedScan
 from .strands import Strands
@@ -77,6 +77,12 @@ RULES: dict[type, dict[str, Rule]] = {
         "coat": Rule(CLAMP, 0, 1),
         "tilt": Rule(CLAMP, -np.pi, np.pi),
         "lobes": Rule(CLAMP, 0, BRIGHTEST),
+    },
+    CoatTable: {
+        "weight": Rule(CLAMP, 0, 1),
+        "roughness": Rule(CLAMP, 0, 1),
+        "ior": Rule(CLAMP, 0, 1e6),
+        "tint": Rule(CLAMP, 0, 1),
     },
     World: {
         "color": Rule(CLAMP, *_DISTANCE),  # -inf becomes 0
@@ -276,6 +282,8 @@ def _valid_materials(table: MaterialTable, warnings: list[str]) -> MaterialTable
     changed: dict[str, Any] = _clamped(table, default_materials())
     if table.hair is not None and (hair := _clamped(table.hair, None)):
         changed["hair"] = replace(table.hair, **hair)
+    if table.coat is not None and (coat := _clamped(table.coat, None)):
+        changed["coat"] = replace(table.coat, **coat)
     if changed:
         warnings.append(f"Materials: values of {', '.join(changed)} that cannot be drawn were put into their range")
     return replace(table, **changed) if changed else table

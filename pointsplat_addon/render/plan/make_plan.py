@@ -248,8 +248,12 @@ def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
     scene = view.scene
     found: tuple[str, ...] = ()
     if drawn and (view.reflects or scene.world.fog is not None) and view.picture:
-        smoothest = 0.0 if varies else float(scene.materials.roughness.min())
+        table = scene.materials
+        coats = () if table.coat is None else table.coat.roughness
+        smoothest = 0.0 if varies else float(np.min([table.roughness.min(), *coats]))
         found = (*_world(scene), *light_names(scene.lights, smoothest))
+        if not found and table.coat is not None and (table.emission > 0).any():
+            found = ("PS_HAS_WORLD",)  # a black one: coats dim what shines below them
     return found + (() if view.shadows is None else _shadows(view.shadows))
 
 
@@ -298,7 +302,9 @@ def _materials(scene: Scene, varies: bool) -> tuple[str, ...]:
     found = {
         "PS_HAS_METAL": metal,
         "PS_HAS_GLOW": bool((table.emission > 0).any()),
+        "PS_COAT": table.coat is not None,
         "PS_ONE_SURFACE": not metal
+        and table.coat is None
         and all(bool((values == values[0]).all()) for values in (table.roughness, table.ior, table.specular)),
     }
     return tuple(name for name, needed in found.items() if needed)

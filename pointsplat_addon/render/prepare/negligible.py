@@ -109,8 +109,11 @@ def reflection(scene: Scene, prepared: Prepared, store: Store) -> Reflection:
     known = np.array(sorted(rows), int)
     colors = max(albedo, float(table.base_color[known].max(initial=0.0)))
     metal = smooth or bool((table.metallic[known] > 0).any())
-    shines = metal or bool((relative_index(table.ior[known], table.specular[known]) != 1).any())
-    alpha = MIN_ALPHA if smooth else max(float(table.roughness[known].min(initial=1.0)) ** 2, MIN_ALPHA)
+    smoothest = float(table.roughness[known].min(initial=1.0))
+    coats = np.zeros(0) if table.coat is None else table.coat.roughness[known][table.coat.weight[known] > 0]
+    smoothest = min(smoothest, float(coats.min(initial=1.0)))
+    shines = metal or len(coats) > 0 or bool((relative_index(table.ior[known], table.specular[known]) != 1).any())
+    alpha = MIN_ALPHA if smooth else max(smoothest**2, MIN_ALPHA)
     # The lobes of strands (core/light/hair.py) have no bound here, nor have splats that are diced from them.
     blurred = prepared.out_of_focus is not None and any(geometry.strands is not None for geometry in scene.geometries)
     strands = len(prepared.strands) > 0 or blurred

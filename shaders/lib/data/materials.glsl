@@ -1,5 +1,5 @@
 // The material table: four texels a row. Layout: render/passes/shading/shade.py. PS_HAS_GLOW: some material emits light.
-// PS_ONE_SURFACE: all are alike beyond their colours, which lib/light/brdf.glsl reads elsewhere.
+// PS_COAT: some surface is coated. PS_ONE_SURFACE: all are alike beyond their colours, which lib/light/brdf.glsl reads elsewhere.
 
 PsSurface ps_material(int row)
 {
@@ -8,6 +8,9 @@ PsSurface ps_material(int row)
   vec3 emission = texelFetch(ps_materials, ivec2(1, row), 0).rgb;
 #else
   vec3 emission = vec3(0.0);
+#endif
+#ifdef PS_COAT
+  ps_coat = PsCoat(texelFetch(ps_materials, ivec2(4, row), 0).xyz, texelFetch(ps_materials, ivec2(5, row), 0).rgb);
 #endif
 #if defined(PS_ONE_SURFACE) && !defined(PS_STRANDS)
   vec4 rest = vec4(0.0);

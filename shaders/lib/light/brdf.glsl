@@ -1,4 +1,5 @@
-// The Principled BSDF without coat, sheen, transmission and subsurface: GGX with multiple scattering over Lambert.
+// The Principled BSDF without sheen, transmission and subsurface: GGX with multiple scattering over Lambert, and PS_COAT, a
+// clear layer above both.
 // Reference and sources: core/light/bsdf.py. Reads ps_lights (rows 0 .. PS_TABLE_ROWS: the reflectance table).
 // PS_HAS_METAL: something is metallic. PS_ONE_SURFACE: nothing is, and roughness and eta are those of the whole scene.
 
@@ -19,6 +20,14 @@ struct PsSurface {
 #endif
 };
 
+#ifdef PS_COAT
+struct PsCoat {
+  vec3 layer;  // weight, roughness, index of refraction
+  vec3 tint;
+};
+PsCoat ps_coat;  // of the surface that ps_material read last
+#endif
+
 #if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT) || defined(PS_INDIRECT)
 
 // What the BSDF needs of a surface seen from one direction.
@@ -31,6 +40,9 @@ struct PsLobes {
   vec3 metal_f0;
   vec3 metal_scale;
   float dielectric_scale;
+#ifdef PS_COAT
+  vec3 below;  // what a coat leaves of the lobe
+#endif
   float eta;
   float roughness;
   float alpha;
@@ -153,8 +165,49 @@ PsLobes ps_lobes(PsSurface surface, vec3 normal, vec3 plane, vec3 to_eye)
   lobes.diffuse *= 1.0 - metallic;
 #endif
   lobes.reflectance *= facing > 0.0 ? 1.0 : 0.0;
+#ifdef PS_COAT
+  lobes.below = vec3(1.0);
+#endif
   return lobes;
 }
+
+#ifdef PS_COAT
+
+PsLobes ps_coated;  // the coat above what is shaded
+
+// What the coat leaves of all that lies below it, seen from the eye: what it does not reflect, absorbed along the way.
+vec3 ps_below_coat(PsLobes coat)
+{
+  float eta = max(ps_coat.layer.z, 1e-3);
+  float inside2 = 1.0 - (1.0 - coat.cos_eye * coat.cos_eye) / (eta * eta);
+  float thickness = inversesqrt(max(inside2, 1e-4));
+  vec3 passes = mix(vec3(1.0), pow(max(ps_coat.tint, 1e-6), vec3(thickness)), ps_coat.layer.x);
+  return passes * (1.0 - min(coat.reflectance, 1.0));
+}
+
+PsLobes ps_coat_lobes(vec3 normal, vec3 plane, vec3 to_eye, float spread)
+{
+#ifdef PS_SPREAD
+  PsSurface surface = PsSurface(vec3(0.0), vec3(0.0), ps_coat.layer.y, 0.0, ps_coat.layer.z, spread);
+#else
+  PsSurface surface = PsSurface(vec3(0.0), vec3(0.0), ps_coat.layer.y, 0.0, ps_coat.layer.z);
+#endif
+  PsLobes coat = ps_lobes(surface, normal, plane, to_eye);
+  coat.reflectance *= ps_coat.layer.x;
+  coat.dielectric_scale *= ps_coat.layer.x;
+  return coat;
+}
+
+// What is below a coat, of which `left` arrives.
+PsLobes ps_covered_lobes(PsLobes lobes, vec3 left)
+{
+  lobes.diffuse *= left;
+  lobes.reflectance *= left;
+  lobes.below *= left;
+  return lobes;
+}
+
+#endif
 
 // Angle by which reflected rays turn along a unit direction where the half vector's slope is alpha, per unit of length
 // along `direction` at unit distance.
@@ -198,6 +251,9 @@ vec3 ps_specular(PsLobes lobes, vec3 direction, float a2)
 #ifdef PS_HAS_METAL
   float x = 1.0 - cos_between, x2 = x * x;
   reflected += lobes.metal_scale * (lobes.metal_f0 + (1.0 - lobes.metal_f0) * (x2 * x2 * x));
+#endif
+#ifdef PS_COAT
+  reflected *= lobes.below;
 #endif
   bool lit = cos_light > 0.0 && dot(lobes.normal, direction) > 0.0 && dot(lobes.reflecting, lobes.to_eye) > 0.0;
   return lit ? lobe * reflected : vec3(0.0);

@@ -34,6 +34,12 @@ vec3 ps_reaching(int index, vec3 light, vec3 position, vec3 normal)
 #endif
 }
 
+#ifdef PS_COAT
+#define PS_LAYERS(surface, coat) (surface) + (coat)
+#else
+#define PS_LAYERS(surface, coat) (surface)
+#endif
+
 vec3 ps_shade_lights(vec3 position, PsLobes lobes, int light_count)
 {
   vec3 result = vec3(0.0);
@@ -45,27 +51,32 @@ vec3 ps_shade_lights(vec3 position, PsLobes lobes, int light_count)
 #endif
 #ifdef PS_HAS_SUNS
   for (; i < ends.x; i++) {
-    result += ps_reaching(i, ps_sun(i, lobes), position, lobes.normal);
+    vec3 light = PS_LAYERS(ps_sun(i, lobes), ps_sun(i, ps_coated));
+    result += ps_reaching(i, light, position, lobes.normal);
   }
 #endif
 #ifdef PS_HAS_POINTS
   for (; i < ends.y; i++) {
-    result += ps_reaching(i, ps_point(i, position, lobes), position, lobes.normal);
+    vec3 light = PS_LAYERS(ps_point(i, position, lobes), ps_point(i, position, ps_coated));
+    result += ps_reaching(i, light, position, lobes.normal);
   }
 #endif
 #ifdef PS_HAS_SPOTS
   for (; i < ends.z; i++) {
-    result += ps_reaching(i, ps_spot(i, position, lobes), position, lobes.normal);
+    vec3 light = PS_LAYERS(ps_spot(i, position, lobes), ps_spot(i, position, ps_coated));
+    result += ps_reaching(i, light, position, lobes.normal);
   }
 #endif
 #ifdef PS_HAS_RECTANGLES
   for (; i < ends.w; i++) {
-    result += ps_reaching(i, ps_area_light(i, false, position, lobes), position, lobes.normal);
+    vec3 light = PS_LAYERS(ps_area_light(i, false, position, lobes), ps_area_light(i, false, position, ps_coated));
+    result += ps_reaching(i, light, position, lobes.normal);
   }
 #endif
 #ifdef PS_HAS_ELLIPSES
   for (; i < light_count; i++) {
-    result += ps_reaching(i, ps_area_light(i, true, position, lobes), position, lobes.normal);
+    vec3 light = PS_LAYERS(ps_area_light(i, true, position, lobes), ps_area_light(i, true, position, ps_coated));
+    result += ps_reaching(i, light, position, lobes.normal);
   }
 #endif
   return result;

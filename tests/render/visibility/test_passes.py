@@ -44,11 +44,12 @@ def test_passes_under_the_centres_are_those_of_the_g_buffer(name):
 
 @pytest.mark.parametrize("name", [*EXACT, "split_mesh"])
 def test_averages_converge_to_those_of_whole_samples(name):
-    truth = render(by("IMAGE_SPACE", name), samples=512).pixels
+    samples = 64 if name == "split_mesh" else 512  # of thousands of small parts a sample takes half a second
+    truth = render(by("IMAGE_SPACE", name), samples=samples).pixels
     found = render(by("VISIBILITY", name), samples=16 * MANY.count).pixels
     for key, most in (("combined", 0.005), ("albedo", 0.004), ("normal", 0.01), ("mist", 0.004)):
         error = np.sqrt(np.mean((found[key] - truth[key]) ** 2))
-        assert error < most, (key, error)  # measured at most 0.0043, 0.0013, 0.006, 0.0013
+        assert error < most, (key, error)  # measured at most 0.0043, 0.0026, 0.006, 0.0029
 
 
 @pytest.mark.parametrize("name", ["mixed", "wide_balls", "region", "moving"])

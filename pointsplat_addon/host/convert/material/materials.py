@@ -20,7 +20,7 @@ from ....core.material.masks import is_mask
 from ....core.material.nodes import input_nodes
 from ....core.numeric.cryptomatte import cryptomatte_hash
 from ....core.numeric.record import record
-from ....core.scene.materials import HairTable, MaterialTable, default_materials
+from ....core.scene.materials import CoatTable, HairTable, MaterialTable, default_materials
 from ....core.scene.volume import Medium
 from .media import read_medium
 from .nodes.table import tree_reader
@@ -40,6 +40,16 @@ VARYING_DEFAULTS = {  # the table's constant of a channel that varies
 
 
 @record
+class Coat:
+    """One row of core's CoatTable; the defaults are Blender's."""
+
+    weight: float = 0.0
+    roughness: float = 0.03
+    ior: float = 1.5
+    tint: tuple[float, ...] = (1.0, 1.0, 1.0)
+
+
+@record
 class MaterialRow:
     """One material as a row of core's MaterialTable."""
 
@@ -53,6 +63,7 @@ class MaterialRow:
     transmission_color: tuple[float, ...] | None = None
     medium: Medium | None = None
     hair: HairConstants | None = None
+    coat: Coat | None = None
     warnings: tuple[str, ...] = ()
 
     @property
@@ -61,7 +72,7 @@ class MaterialRow:
         varying = "" if self.graph is None else self.graph.digest
         volume = None if self.medium is None else [np.asarray(v).tolist() for v in vars(self.medium).values()]
         light = self.translucent, self.transmission_color
-        shown = sorted(self.constants.items()), varying, self.cull, light, volume, self.hair
+        shown = sorted(self.constants.items()), varying, self.cull, light, volume, self.hair, self.coat
         text = repr((*shown, self.pass_index, self.name))
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
@@ -98,6 +109,7 @@ def convert_materials(
         media=tuple(row.medium for row in rows),
         graphs=tuple(row.graph for row in rows),
         hair=_hair_columns(rows),
+        coat=_coat_columns(rows),
     )
     return converted, [warning for row in rows for warning in row.warnings]
 
@@ -109,6 +121,14 @@ def _hair_columns(rows: list[MaterialRow]) -> HairTable | None:
     constants = [row.hair or HairConstants() for row in rows]
     columns = {name: np.array([getattr(h, name) for h in constants], np.float32) for name in vars(HairConstants())}
     return HairTable(used=np.array([row.hair is not None for row in rows]), **columns)
+
+
+def _coat_columns(rows: list[MaterialRow]) -> CoatTable | None:
+    """The coats of all rows; None if nothing is coated."""
+    if not any(row.coat for row in rows):
+        return None
+    coats = [row.coat or Coat() for row in rows]
+    return CoatTable(**{name: np.array([getattr(c, name) for c in coats], np.float32) for name in vars(Coat())})
 
 
 def _transmission_colors(rows: list[MaterialRow]) -> np.ndarray | None:
@@ -164,6 +184,7 @@ def convert_material(material: bpy.types.Material, placement: FindPlacement = no
         transmission_color=passes if min(passes) < 1 else None,
         medium=None if output is None else read_medium(tree, output.inputs["Volume"]),
         hair=tree.hair,
+        coat=_coat(surface, tree),
         warnings=tuple(tree.warnings),
     )
 
@@ -252,3 +273,16 @@ def _split_constants(surface: Surface, tree: TreeReader) -> tuple[dict[str, tupl
             tree.warnings.append(f'Material "{tree.material_name}": varying {name} is replaced by {fallback}')
         constants[name] = (fallback,) if value is None else (max(float(value[0]), 0.0),)
     return constants, MaterialGraph(**varying) if varying else None
+
+
+def _coat(surface: Surface, tree: TreeReader) -> Coat | None:
+    """The surface's coat; None if it has none or one that varies, with a warning."""
+    if is_constant(surface.coat, 0):
+        return None
+    parts = (surface.coat, surface.coat_roughness, surface.coat_ior, surface.coat_tint)
+    values = [value for part in parts if (value := constant(part)) is not None]
+    if len(values) < len(parts):
+        tree.warnings.append(f'Material "{tree.material_name}": its coat varies, and is left out')
+        return None
+    weight, roughness, ior, tint = (np.clip(np.nan_to_num(value), 0, None).tolist() for value in values)
+    return Coat(min(weight[0], 1.0), min(roughness[0], 1.0), max(ior[0], 1.0), tuple(tint[:3]))

@@ -18,6 +18,7 @@ from ....core.numeric.record import record
 BLACK = input_nodes.Constant((0.0, 0.0, 0.0))
 ZERO, ONE = input_nodes.Constant((0.0,)), input_nodes.Constant((1.0,))
 GLASS_IOR = input_nodes.Constant((1.5,))  # Principled's default index of refraction
+COAT_ROUGHNESS = input_nodes.Constant((0.03,))  # Principled's default
 WHITE = input_nodes.Constant((1.0, 1.0, 1.0))
 GRAY = 1e-6  # difference of the channels of what counts as a grey
 SURFACE_NORMAL = input_nodes.Coordinates("normal")
@@ -36,6 +37,10 @@ class Surface:
     ior: Expression = GLASS_IOR
     specular: Expression = ZERO
     transmission_color: Expression = WHITE
+    coat: Expression = ZERO  # weight of the clear layer; the rest of it is constant
+    coat_roughness: Expression = COAT_ROUGHNESS
+    coat_ior: Expression = GLASS_IOR
+    coat_tint: Expression = WHITE
 
 
 def scale_color(color: Expression, factor: Expression) -> Expression:
@@ -88,8 +93,16 @@ def mix_surfaces(a: Surface, b: Surface, factor: Expression) -> Surface:
     alpha = math_nodes.Math(a_weight, b_weight, ZERO, "ADD")
     both_opaque = is_constant(a.alpha, 1) and is_constant(b.alpha, 1)
     t = factor if both_opaque else math_nodes.Math(b_weight, alpha, ZERO, "DIVIDE")
+    a, b = _with_coat_of(a, b), _with_coat_of(b, a)
     mixed = {f.name: _mix_unless_equal(t, getattr(a, f.name), getattr(b, f.name)) for f in fields(Surface)}
     return Surface(**{**mixed, "alpha": ONE if both_opaque else alpha, "transmission_color": passes})
+
+
+def _with_coat_of(bare: Surface, other: Surface) -> Surface:
+    """A surface, which if it has no coat has the look of the other's coat, without its weight."""
+    if not is_constant(bare.coat, 0):
+        return bare
+    return replace(bare, coat_roughness=other.coat_roughness, coat_ior=other.coat_ior, coat_tint=other.coat_tint)
 
 
 def faded(surface: Surface, alpha: Expression) -> Surface:

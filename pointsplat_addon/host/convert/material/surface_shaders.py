@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import bpy
 
+from ....core.material.expression import Expression
 from ....core.material.nodes import input_nodes, math_nodes
 from .hair_shaders import HAIR_SHADERS
 from .nodes.tree import NodeReader, Path, TreeReader, UnsupportedNodeError, constant_input, resolve
@@ -38,7 +39,7 @@ def read_surface(tree: TreeReader, socket: bpy.types.NodeSocket, path: Path) -> 
     return convert(NodeReader(tree, output.node, path))
 
 
-LEFT_OUT = {"Coat Weight": "coat", "Sheen Weight": "sheen", "Subsurface Weight": "subsurface scattering"}
+LEFT_OUT = {"Sheen Weight": "sheen", "Subsurface Weight": "subsurface scattering"}
 
 
 def _principled(node: NodeReader) -> Surface:
@@ -52,6 +53,7 @@ def _principled(node: NodeReader) -> Surface:
         normal=node["Normal"],
         ior=constant_input(node, "IOR"),
         specular=constant_input(node, "Specular IOR Level"),
+        **_coat(node),
     )
     weight = math_nodes.Clamp(node["Transmission Weight"], ZERO, ONE)
     if is_constant(weight, 0):
@@ -66,6 +68,17 @@ def _principled(node: NodeReader) -> Surface:
     # Transmission does not weaken the emission, which the alpha is going to scale
     emission = divide_color(solid.emission, mixed.alpha)
     return faded(replace(mixed, emission=emission), node["Alpha"])
+
+
+def _coat(node: NodeReader) -> dict[str, Expression]:
+    """The parameters of Surface of a Principled BSDF's coat; none where there is none."""
+    weight = constant_input(node, "Coat Weight")
+    if is_constant(weight, 0):
+        return {}
+    if node.linked("Coat Normal"):
+        node.warn('has a "Coat Normal", in whose place its own normal is used')
+    names = {"coat_roughness": "Coat Roughness", "coat_ior": "Coat IOR", "coat_tint": "Coat Tint"}
+    return {"coat": weight, **{name: constant_input(node, identifier) for name, identifier in names.items()}}
 
 
 def _diffuse(node: NodeReader) -> Surface:

@@ -67,7 +67,7 @@ class LightingUploads:
         bare = not (plan.shades or (plan.polygons and plan.variant.color) or plan.lines or plan.options.cull)
         lit = plan.solid or (plan.translucent is not None and not plan.translucent.alone)
         if materials and lit and not bare:
-            texture = scope.device.texture((4, len(table)), "RGBA32F", table.reshape(-1))
+            texture = scope.device.texture((table.shape[1], len(table)), "RGBA32F", table.reshape(-1))
             self.materials["ps_materials"] = scope.own(texture)
         self._lights: Texture | None = None
         self._environment: Texture | None = None

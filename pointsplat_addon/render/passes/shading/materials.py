@@ -1,7 +1,8 @@
-"""The material table on the device: four texels for each material.
+"""The material table on the device: four texels for each material, six where something is coated.
 
 They hold: base colour, alpha; emission, anisotropy; 1 where back faces are culled, roughness, metallic, the index of
-refraction that stands for IOR and specular level; further parameters of hair (core.light.hair.hair_texels).
+refraction that stands for IOR and specular level; further parameters of hair (core.light.hair.hair_texels); of the coat
+weight, roughness and index of refraction; its tint.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ LEAST_SPREAD = 0.99  # of |g|: lobes narrower than this would alias between spla
 
 
 def material_rows(table: MaterialTable, escape: np.ndarray) -> np.ndarray:
-    """Returns the material table, (M, 4, 4) float32: one row of texels a material. escape: (M,), of hair."""
-    rows = np.zeros((len(table), 4, 4), np.float32)
+    """Returns the material table, (M, 4 | 6, 4) float32: one row of texels a material. escape: (M,), of hair."""
+    rows = np.zeros((len(table), 4 if table.coat is None else 6, 4), np.float32)
     rows[:, 0, :3], rows[:, 0, 3] = table.base_color, table.alpha
     rows[:, 1, :3] = table.emission
     if table.anisotropy is not None:
@@ -28,4 +29,7 @@ def material_rows(table: MaterialTable, escape: np.ndarray) -> np.ndarray:
     rows[:, 2] = np.stack(
         [table.cull, table.roughness, table.metallic, relative_index(table.ior, table.specular)], axis=1
     )
+    if table.coat is not None:
+        rows[:, 4, :3] = np.stack([table.coat.weight, table.coat.roughness, table.coat.ior], axis=1)
+        rows[:, 5, :3] = table.coat.tint
     return rows
