@@ -541,10 +541,40 @@ def principled(tree, **inputs):
 
 
 def test_layers_of_principled_surfaces_that_are_left_out_are_named():
-    lacquer = surface("lacquer", lambda t: principled(t, Coat_Weight=0.5, Sheen_Weight=0.2))
+    lacquer = surface("lacquer", lambda t: principled(t, Subsurface_Weight=0.5, Sheen_Weight=0.2))
     table, warnings = convert_materials([lacquer])
     assert len(table) == 2
-    assert warnings == ['Material "lacquer": node "Principled BSDF" is drawn without its coat and sheen']
+    assert warnings == [
+        'Material "lacquer": node "Principled BSDF" is drawn without its sheen and subsurface scattering'
+    ]
+
+
+def test_coats_are_columns_of_their_own_and_mix_by_weight():
+    given = {"Coat_Weight": 0.5, "Coat_Roughness": 0.25, "Coat_IOR": 1.75, "Coat_Tint": (0.5, 0.25, 1, 1)}
+
+    def half(tree):
+        plain = output(node(tree, "ShaderNodeBsdfDiffuse"))
+        mixed = {"Fac": 0.5, "Shader": principled(tree, **given), "Shader_001": plain}
+        return output(node(tree, "ShaderNodeMixShader", mixed))
+
+    table, warnings = convert_materials([surface("all", lambda t: principled(t, **given)), surface("half", half)])
+    assert not warnings
+    np.testing.assert_allclose(table.coat.weight, [0, 0.5, 0.25])
+    np.testing.assert_allclose(table.coat.roughness[1:], 0.25)
+    np.testing.assert_allclose(table.coat.ior[1:], 1.75)
+    np.testing.assert_allclose(table.coat.tint[1:], [[0.5, 0.25, 1]] * 2)
+    assert convert_materials([surface("bare", principled)])[0].coat is None
+
+
+def test_a_coat_that_varies_is_left_out_with_a_warning():
+    def spotted(tree):
+        noise = node(tree, "ShaderNodeTexNoise").outputs[0]
+        mixed = {"Fac": noise, "Shader": principled(tree, Coat_Weight=1.0), "Shader_001": principled(tree)}
+        return output(node(tree, "ShaderNodeMixShader", mixed))
+
+    table, warnings = convert_materials([surface("spotted", spotted)])
+    assert table.coat is None
+    assert warnings == ['Material "spotted": its coat varies, and is left out']
 
 
 def test_a_table_of_constants_has_the_default_material_first():

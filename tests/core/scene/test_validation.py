@@ -14,7 +14,7 @@ from pointsplat_addon.core.scene import validation as v
 from pointsplat_addon.core.scene.camera import Aperture, Camera
 from pointsplat_addon.core.scene.cloud import ATTRIBUTES, PointCloud
 from pointsplat_addon.core.scene.lights import Light
-from pointsplat_addon.core.scene.materials import HairTable, MaterialTable, default_materials
+from pointsplat_addon.core.scene.materials import CoatTable, HairTable, MaterialTable, default_materials
 from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.scene.scene import Geometry, Instances, Scene
 from pointsplat_addon.core.scene.strands import Strands
@@ -81,6 +81,11 @@ def hair() -> HairTable:
     return HairTable(np.ones(1, bool), one, one, one, np.full((1, 3), 0.5, F))
 
 
+def coat() -> CoatTable:
+    one = np.full(1, 0.5, F)
+    return CoatTable(one, one, one, np.full((1, 3), 0.5, F))
+
+
 def cloud() -> PointCloud:
     def filled(name: str) -> np.ndarray:
         shape, dtype = ATTRIBUTES[name]
@@ -113,7 +118,7 @@ def whole() -> Scene:
         Geometry("s", "Strands", strands=strands()),
     )
     matrices = np.tile(np.eye(4), (3, 1, 1))
-    table = replace(default_materials(), hair=hair(), anisotropy=np.zeros(1, F))
+    table = replace(default_materials(), hair=hair(), coat=coat(), anisotropy=np.zeros(1, F))
     return Scene(geometries, Instances(np.arange(3, dtype=np.int32), matrices, matrices.copy()), table, (light(),))
 
 
@@ -199,13 +204,17 @@ def test_lights_are_left_out_and_named(kind, name, bad):
 
 
 @BAD
-@pytest.mark.parametrize(("kind", "name"), cases(v.CLAMP, MaterialTable, HairTable))
+@pytest.mark.parametrize(("kind", "name"), cases(v.CLAMP, MaterialTable, HairTable, CoatTable))
 def test_materials_are_clamped(kind, name, bad):
     given, rule = whole(), v.RULES[kind][name]
     table = given.materials
-    table = broken(table, name, bad) if kind is MaterialTable else replace(table, hair=broken(table.hair, name, bad))
+    part = {HairTable: "hair", CoatTable: "coat"}.get(kind)
+    if part is None:
+        table = broken(table, name, bad)
+    else:
+        table = replace(table, **{part: broken(getattr(table, part), name, bad)})
     found = v.validate(replace(given, materials=table), camera())[0]
-    owner = found.materials if kind is MaterialTable else found.materials.hair
+    owner = found.materials if part is None else getattr(found.materials, part)
     column = getattr(owner, name)
     assert rule.low - 1e-6 <= column.min() <= column.max() <= rule.high * (1 + 1e-6)  # in float32
     assert len(found.warnings) == 1

@@ -65,6 +65,7 @@ EXPECTED = {
     "points and polygons, adaptive": "polygons adapt " + IMAGE + SEEN,
     "emission of points and polygons": "polygons " + IMAGE + SEEN,
     "mixed materials": "polygons " + SEEN,
+    "a coat": "polygons " + SEEN,
     "holdouts": "polygons shade " + IMAGE,
     "every kind of light": "polygons " + IMAGE + SEEN,
     "points in an environment picture": IMAGE + SEEN,

@@ -12,7 +12,7 @@ from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, textu
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.lights import Light
-from pointsplat_addon.core.scene.materials import HairTable
+from pointsplat_addon.core.scene.materials import CoatTable, HairTable
 from pointsplat_addon.core.scene.world import Fog, World
 from pointsplat_addon.render.frame.visibility.occlusion import FEWEST_TRIANGLES
 from scripts.scenes import build, cameras, clouds, detailed_cases, lit_cases, meshes, solid_cases
@@ -136,6 +136,12 @@ def mixed_materials() -> Case:
                         material=np.full(12, row, np.uint16))  # fmt: skip
         things.append((build.mesh(block, "POLYGONS"), build.moved((row - 1.0, 0, 0))))
     return Case(build.scene(*things, table=table), cameras.camera())
+
+
+def coated() -> Case:
+    """Three cubes, of which one has a clear coat."""
+    coat = CoatTable(*np.float32([[0, 1, 0], [0.1] * 3, [1.5] * 3]), np.ones((3, 3), np.float32))
+    return with_scene(mixed_materials(), materials=build.materials(3, coat=coat))
 
 
 def many_instances() -> Case:
