@@ -10,7 +10,7 @@ from scripts.scenes import build, cameras, clouds, meshes
 from scripts.scenes.case import Case
 from scripts.scenes.drawing import render
 
-WEIGHT, ROUGHNESS, IOR = np.float32([[0.7], [0.3], [1.8]])
+WEIGHT, ROUGHNESS, IOR = np.array([[0.7], [0.3], [1.8]], np.float32)
 
 
 def shown(tint: float, technique: str) -> np.ndarray:

@@ -140,7 +140,7 @@ def mixed_materials() -> Case:
 
 def coated() -> Case:
     """Three cubes, of which one has a clear coat."""
-    coat = CoatTable(*np.float32([[0, 1, 0], [0.1] * 3, [1.5] * 3]), np.ones((3, 3), np.float32))
+    coat = CoatTable(*np.array([[0, 1, 0], [0.1] * 3, [1.5] * 3], np.float32), np.ones((3, 3), np.float32))
     return with_scene(mixed_materials(), materials=build.materials(3, coat=coat))
 
 
