@@ -37,7 +37,7 @@ def materials(count: int = 1, **columns) -> MaterialTable:
     )
 
 
-FIELDS = ("names", "graphs", "anisotropy", "translucent", "transmission_color", "media", "hair", "coat")
+FIELDS = ("names", "graphs", "anisotropy", "translucent", "transmission_color", "media", "hair", "coat", "backlit")
 
 
 def moved(offset: Vector = (0, 0, 0), scale: float | Vector = 1.0) -> np.ndarray:

@@ -566,6 +566,30 @@ def test_coats_are_columns_of_their_own_and_mix_by_weight():
     assert convert_materials([surface("bare", principled)])[0].coat is None
 
 
+def test_what_is_lit_from_behind_is_a_share_of_the_colour():
+    leaf = {"Color": (0.2, 0.6, 0.1, 1)}
+
+    def mixed(tree, front, factor):
+        behind = output(node(tree, "ShaderNodeBsdfTranslucent", leaf))
+        diffuse = output(node(tree, "ShaderNodeBsdfDiffuse", front))
+        return output(node(tree, "ShaderNodeMixShader", {"Fac": factor, "Shader": diffuse, "Shader_001": behind}))
+
+    def image_colored(tree):
+        return mixed(tree, {"Color": node(tree, "ShaderNodeTexNoise").outputs["Color"]}, 0.25)
+
+    found = [
+        surface("alone", lambda t: output(node(t, "ShaderNodeBsdfTranslucent", leaf))),
+        surface("mixed", lambda t: mixed(t, {"Color": (0.6, 0.2, 0, 1)}, 0.5)),
+        surface("of varying colour", image_colored),
+        surface("in part", lambda t: mixed(t, leaf, node(t, "ShaderNodeTexNoise").outputs[0])),
+    ]
+    table, warnings = convert_materials(found)
+    expected = [[0] * 3, [1] * 3, [0.25, 0.75, 1], [0.25] * 3, [0] * 3]
+    np.testing.assert_allclose(table.backlit, expected, atol=1e-6)
+    assert warnings == ['Material "in part": its translucency varies, and is lit from the front']
+    assert convert_materials([surface("bare", principled)])[0].backlit is None
+
+
 def test_a_coat_that_varies_is_left_out_with_a_warning():
     def spotted(tree):
         noise = node(tree, "ShaderNodeTexNoise").outputs[0]

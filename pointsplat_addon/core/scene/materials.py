@@ -59,6 +59,8 @@ class MaterialTable:
     graphs: tuple[object | None, ...] = ()  # core.materials.Graph for materials whose inputs vary, else None
     hair: HairTable | None = None  # what strands of the materials are besides; None: none of them is hair
     coat: CoatTable | None = None  # None: nothing is coated
+    # (M, 3) float32, 0 to 1: the share of the diffuse light that comes from behind the surface; None: none of it
+    backlit: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.roughness)

@@ -70,6 +70,7 @@ RULES: dict[type, dict[str, Rule]] = {
         "emission": Rule(CLAMP, -1e9, 1e9),
         "alpha": Rule(CLAMP, 0, 1),
         "transmission_color": Rule(CLAMP, 0, 1),
+        "backlit": Rule(CLAMP, 0, 1),
         "anisotropy": Rule(CLAMP, -1, 1),
     },
     HairTable: {

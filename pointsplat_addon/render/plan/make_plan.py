@@ -303,6 +303,7 @@ def _materials(scene: Scene, varies: bool) -> tuple[str, ...]:
         "PS_HAS_METAL": metal,
         "PS_HAS_GLOW": bool((table.emission > 0).any()),
         "PS_COAT": table.coat is not None,
+        "PS_BACKLIT": table.backlit is not None,
         "PS_ONE_SURFACE": not metal
         and table.coat is None
         and all(bool((values == values[0]).all()) for values in (table.roughness, table.ior, table.specular)),

@@ -1,5 +1,5 @@
 // The material table: four texels a row. Layout: render/passes/shading/shade.py. PS_HAS_GLOW: some material emits light.
-// PS_COAT: some surface is coated. PS_ONE_SURFACE: all are alike beyond their colours, which lib/light/brdf.glsl reads elsewhere.
+// PS_COAT: some surface is coated. PS_BACKLIT: some is lit from behind. PS_ONE_SURFACE: all are alike beyond their colours, which lib/light/brdf.glsl reads elsewhere.
 
 PsSurface ps_material(int row)
 {
@@ -11,6 +11,9 @@ PsSurface ps_material(int row)
 #endif
 #ifdef PS_COAT
   ps_coat = PsCoat(texelFetch(ps_materials, ivec2(4, row), 0).xyz, texelFetch(ps_materials, ivec2(5, row), 0).rgb);
+#endif
+#ifdef PS_BACKLIT
+  ps_backlit = texelFetch(ps_materials, ivec2(6, row), 0).rgb;
 #endif
 #if defined(PS_ONE_SURFACE) && !defined(PS_STRANDS)
   vec4 rest = vec4(0.0);

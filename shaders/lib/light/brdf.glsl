@@ -1,5 +1,5 @@
 // The Principled BSDF without sheen, transmission and subsurface: GGX with multiple scattering over Lambert, and PS_COAT, a
-// clear layer above both.
+// clear layer above both. PS_BACKLIT: a share of the Lambert base is lit from the other side.
 // Reference and sources: core/light/bsdf.py. Reads ps_lights (rows 0 .. PS_TABLE_ROWS: the reflectance table).
 // PS_HAS_METAL: something is metallic. PS_ONE_SURFACE: nothing is, and roughness and eta are those of the whole scene.
 
@@ -19,6 +19,10 @@ struct PsSurface {
   float spread;  // variance of the slopes of normals within the footprint, in both directions together
 #endif
 };
+
+#ifdef PS_BACKLIT
+vec3 ps_backlit;  // the share of diffuse light, of the surface that ps_material read last, that comes from behind
+#endif
 
 #ifdef PS_COAT
 struct PsCoat {
@@ -170,6 +174,23 @@ PsLobes ps_lobes(PsSurface surface, vec3 normal, vec3 plane, vec3 to_eye)
 #endif
   return lobes;
 }
+
+#ifdef PS_BACKLIT
+
+PsLobes ps_behind_lobes;  // what light from behind the surface meets
+
+// Moves the share of the diffuse lobe that is lit from behind.
+void ps_divide_diffuse(inout PsLobes lobes)
+{
+  ps_behind_lobes = lobes;
+  ps_behind_lobes.normal = -lobes.normal;
+  ps_behind_lobes.diffuse *= ps_backlit;
+  ps_behind_lobes.reflectance = ps_behind_lobes.metal_scale = vec3(0.0);
+  ps_behind_lobes.dielectric_scale = 0.0;
+  lobes.diffuse *= 1.0 - ps_backlit;
+}
+
+#endif
 
 #ifdef PS_COAT
 

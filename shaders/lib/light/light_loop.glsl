@@ -53,30 +53,45 @@ vec3 ps_shade_lights(vec3 position, PsLobes lobes, int light_count)
   for (; i < ends.x; i++) {
     vec3 light = PS_LAYERS(ps_sun(i, lobes), ps_sun(i, ps_coated));
     result += ps_reaching(i, light, position, lobes.normal);
+#ifdef PS_BACKLIT
+    result += ps_reaching(i, ps_sun(i, ps_behind_lobes), position, -lobes.normal);
+#endif
   }
 #endif
 #ifdef PS_HAS_POINTS
   for (; i < ends.y; i++) {
     vec3 light = PS_LAYERS(ps_point(i, position, lobes), ps_point(i, position, ps_coated));
     result += ps_reaching(i, light, position, lobes.normal);
+#ifdef PS_BACKLIT
+    result += ps_reaching(i, ps_point(i, position, ps_behind_lobes), position, -lobes.normal);
+#endif
   }
 #endif
 #ifdef PS_HAS_SPOTS
   for (; i < ends.z; i++) {
     vec3 light = PS_LAYERS(ps_spot(i, position, lobes), ps_spot(i, position, ps_coated));
     result += ps_reaching(i, light, position, lobes.normal);
+#ifdef PS_BACKLIT
+    result += ps_reaching(i, ps_spot(i, position, ps_behind_lobes), position, -lobes.normal);
+#endif
   }
 #endif
 #ifdef PS_HAS_RECTANGLES
   for (; i < ends.w; i++) {
     vec3 light = PS_LAYERS(ps_area_light(i, false, position, lobes), ps_area_light(i, false, position, ps_coated));
     result += ps_reaching(i, light, position, lobes.normal);
+#ifdef PS_BACKLIT
+    result += ps_reaching(i, ps_area_light(i, false, position, ps_behind_lobes), position, -lobes.normal);
+#endif
   }
 #endif
 #ifdef PS_HAS_ELLIPSES
   for (; i < light_count; i++) {
     vec3 light = PS_LAYERS(ps_area_light(i, true, position, lobes), ps_area_light(i, true, position, ps_coated));
     result += ps_reaching(i, light, position, lobes.normal);
+#ifdef PS_BACKLIT
+    result += ps_reaching(i, ps_area_light(i, true, position, ps_behind_lobes), position, -lobes.normal);
+#endif
   }
 #endif
   return result;

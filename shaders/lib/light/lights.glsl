@@ -2,7 +2,7 @@
 // sources: tests/reference/lighting.py.
 // Names say what a scene needs, and all else is left out: PS_HAS_SUNS, PS_HAS_POINTS, PS_HAS_SPOTS, PS_HAS_RECTANGLES,
 // PS_HAS_ELLIPSES (kinds of lights), PS_ONE_KIND (all lights are of one); PS_HAS_WIDE_LIGHTS (some light's size is
-// seen), PS_HAS_BEAMS (narrowed area lights), PS_HAS_METAL, PS_COAT, PS_ONE_SURFACE, PS_HAS_WORLD, PS_HAS_ENVIRONMENT, PS_FOG. Some
+// seen), PS_HAS_BEAMS (narrowed area lights), PS_HAS_METAL, PS_COAT, PS_BACKLIT, PS_ONE_SURFACE, PS_HAS_WORLD, PS_HAS_ENVIRONMENT, PS_FOG. Some
 // devices run both sides of every branch, so work that not all pixels need stands in loops of as many turns as a
 // pixel needs.
 
@@ -46,6 +46,10 @@ vec3 ps_shade(vec3 position, vec3 normal, vec3 plane, vec3 to_eye, PsSurface sur
   lobes = ps_covered_lobes(lobes, left);
   result *= left;
   result += ps_shade_world(ps_coated);
+#endif
+#ifdef PS_BACKLIT
+  ps_divide_diffuse(lobes);
+  result += ps_shade_world(ps_behind_lobes);
 #endif
 #ifdef PS_HAS_LIGHTS
   result += ps_shade_lights(position, lobes, light_count);

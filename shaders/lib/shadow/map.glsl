@@ -64,6 +64,9 @@ PsMember ps_member(inout uvec2 members, vec3 normal)
   vec3 own = normal;
   if (ps_footprint.keyed) {
     own = normalize(ps_key_normal(texelFetch(ps_keys, cell, 0).x) + ps_footprint.turn);
+#ifdef PS_BACKLIT
+    own *= dot(own, normal) < 0.0 ? -1.0 : 1.0;
+#endif
   }
   return PsMember(ps_view_from_pixel(ps_pixel_from_cell(vec2(cell) + 0.5), d), own);
 }

@@ -118,7 +118,9 @@ def whole() -> Scene:
         Geometry("s", "Strands", strands=strands()),
     )
     matrices = np.tile(np.eye(4), (3, 1, 1))
-    table = replace(default_materials(), hair=hair(), coat=coat(), anisotropy=np.zeros(1, F))
+    table = replace(
+        default_materials(), hair=hair(), coat=coat(), anisotropy=np.zeros(1, F), backlit=np.zeros((1, 3), F)
+    )
     return Scene(geometries, Instances(np.arange(3, dtype=np.int32), matrices, matrices.copy()), table, (light(),))
 
 

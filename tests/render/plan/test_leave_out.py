@@ -66,6 +66,7 @@ EXPECTED = {
     "emission of points and polygons": "polygons " + IMAGE + SEEN,
     "mixed materials": "polygons " + SEEN,
     "a coat": "polygons " + SEEN,
+    "a surface lit from behind": "polygons " + SEEN,
     "holdouts": "polygons shade " + IMAGE,
     "every kind of light": "polygons " + IMAGE + SEEN,
     "points in an environment picture": IMAGE + SEEN,

@@ -27,6 +27,7 @@ from scripts.scenes import (
 from scripts.scenes.case import ALL_PASSES, Case
 from scripts.scenes.store import STORE
 from tests.support.leave_out.scenes import (
+    backlit,
     before_a_picture,
     behind_a_wall,
     clear_smoke,
@@ -132,6 +133,7 @@ ROWS: dict[str, Row] = {
     "emission of points and polygons": Row(lit_cases.emission),
     "mixed materials": Row(mixed_materials),
     "a coat": Row(coated),
+    "a surface lit from behind": Row(backlit),
     "holdouts": Row(solid_cases.holdout),
     "every kind of light": Row(lit_cases.lights),
     "points in an environment picture": Row(lit_cases.environment),

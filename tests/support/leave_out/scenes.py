@@ -140,8 +140,14 @@ def mixed_materials() -> Case:
 
 def coated() -> Case:
     """Three cubes, of which one has a clear coat."""
-    coat = CoatTable(*np.array([[0, 1, 0], [0.1] * 3, [1.5] * 3], np.float32), np.ones((3, 3), np.float32))
+    coat = CoatTable(*np.array([[0, 1, 0], [0.1] * 3, [1.5] * 3], np.float32), tint=np.ones((3, 3), np.float32))
     return with_scene(mixed_materials(), materials=build.materials(3, coat=coat))
+
+
+def backlit() -> Case:
+    """Three cubes, of which one is lit from behind in part."""
+    table = build.materials(3, backlit=np.array([[0] * 3, [0.2, 0.5, 0.1], [0] * 3], np.float32))
+    return with_scene(mixed_materials(), materials=table)
 
 
 def many_instances() -> Case:

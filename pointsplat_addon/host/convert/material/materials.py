@@ -64,6 +64,7 @@ class MaterialRow:
     medium: Medium | None = None
     hair: HairConstants | None = None
     coat: Coat | None = None
+    backlit: tuple[float, ...] = (0.0, 0.0, 0.0)
     warnings: tuple[str, ...] = ()
 
     @property
@@ -72,7 +73,7 @@ class MaterialRow:
         varying = "" if self.graph is None else self.graph.digest
         volume = None if self.medium is None else [np.asarray(v).tolist() for v in vars(self.medium).values()]
         light = self.translucent, self.transmission_color
-        shown = sorted(self.constants.items()), varying, self.cull, light, volume, self.hair, self.coat
+        shown = sorted(self.constants.items()), varying, self.cull, light, volume, self.hair, self.coat, self.backlit
         text = repr((*shown, self.pass_index, self.name))
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
@@ -110,6 +111,7 @@ def convert_materials(
         graphs=tuple(row.graph for row in rows),
         hair=_hair_columns(rows),
         coat=_coat_columns(rows),
+        backlit=_backlit_column(rows),
     )
     return converted, [warning for row in rows for warning in row.warnings]
 
@@ -129,6 +131,11 @@ def _coat_columns(rows: list[MaterialRow]) -> CoatTable | None:
         return None
     coats = [row.coat or Coat() for row in rows]
     return CoatTable(**{name: np.array([getattr(c, name) for c in coats], np.float32) for name in vars(Coat())})
+
+
+def _backlit_column(rows: list[MaterialRow]) -> np.ndarray | None:
+    """(M, 3) float32; None if nothing is lit from behind."""
+    return np.array([row.backlit for row in rows], np.float32) if any(any(row.backlit) for row in rows) else None
 
 
 def _transmission_colors(rows: list[MaterialRow]) -> np.ndarray | None:
@@ -185,6 +192,7 @@ def convert_material(material: bpy.types.Material, placement: FindPlacement = no
         medium=None if output is None else read_medium(tree, output.inputs["Volume"]),
         hair=tree.hair,
         coat=_coat(surface, tree),
+        backlit=_backlit(surface, tree),
         warnings=tuple(tree.warnings),
     )
 
@@ -286,3 +294,12 @@ def _coat(surface: Surface, tree: TreeReader) -> Coat | None:
         return None
     weight, roughness, ior, tint = (np.clip(np.nan_to_num(value), 0, None).tolist() for value in values)
     return Coat(min(weight[0], 1.0), min(roughness[0], 1.0), max(ior[0], 1.0), tuple(tint[:3]))
+
+
+def _backlit(surface: Surface, tree: TreeReader) -> tuple[float, ...]:
+    """The share of the diffuse light that comes from behind; where it varies none, with a warning."""
+    value = constant(surface.backlit)
+    if value is None:
+        tree.warnings.append(f'Material "{tree.material_name}": its translucency varies, and is lit from the front')
+        return (0.0, 0.0, 0.0)
+    return tuple(np.clip(np.nan_to_num(np.broadcast_to(value, 3)), 0, 1).tolist())

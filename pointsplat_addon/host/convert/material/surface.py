@@ -37,6 +37,7 @@ class Surface:
     ior: Expression = GLASS_IOR
     specular: Expression = ZERO
     transmission_color: Expression = WHITE
+    backlit: Expression = BLACK  # share of the diffuse light that comes from behind; constant
     coat: Expression = ZERO  # weight of the clear layer; the rest of it is constant
     coat_roughness: Expression = COAT_ROUGHNESS
     coat_ior: Expression = GLASS_IOR
@@ -94,8 +95,25 @@ def mix_surfaces(a: Surface, b: Surface, factor: Expression) -> Surface:
     both_opaque = is_constant(a.alpha, 1) and is_constant(b.alpha, 1)
     t = factor if both_opaque else math_nodes.Math(b_weight, alpha, ZERO, "DIVIDE")
     a, b = _with_coat_of(a, b), _with_coat_of(b, a)
+    backlit = _mixed_backlit(t, a, b)
     mixed = {f.name: _mix_unless_equal(t, getattr(a, f.name), getattr(b, f.name)) for f in fields(Surface)}
-    return Surface(**{**mixed, "alpha": ONE if both_opaque else alpha, "transmission_color": passes})
+    return Surface(
+        **{**mixed, "backlit": backlit, "alpha": ONE if both_opaque else alpha, "transmission_color": passes}
+    )
+
+
+def _mixed_backlit(t: Expression, a: Surface, b: Surface) -> Expression:
+    """The share of diffuse light from behind: that of each counts by its colour, or alike where colours vary."""
+    if a.backlit.digest == b.backlit.digest:
+        return a.backlit
+    known = [constant(value) for value in (t, a.base_color, b.base_color, a.backlit, b.backlit)]
+    if any(value is None for value in known):
+        return color_nodes.Mix(t, a.backlit, b.backlit)
+    share, first, second, behind_a, behind_b = (np.asarray(value, float)[:3] for value in known)
+    colors = (1 - share) * first, share * second
+    total = colors[0] + colors[1]
+    behind = colors[0] * behind_a + colors[1] * behind_b
+    return input_nodes.Constant(tuple(np.divide(behind, total, np.zeros(3), where=total > 0).tolist()))
 
 
 def _with_coat_of(bare: Surface, other: Surface) -> Surface:

@@ -14,6 +14,7 @@ from .nodes.tree import NodeReader, Path, TreeReader, UnsupportedNodeError, cons
 from .surface import (
     BLACK,
     ONE,
+    WHITE,
     ZERO,
     Surface,
     divide_color,
@@ -110,8 +111,7 @@ def _glass(node: NodeReader) -> Surface:
 
 
 def _translucent(node: NodeReader) -> Surface:
-    node.warn("is lit on the side that the camera sees")
-    return _diffuse(node)
+    return replace(_diffuse(node), backlit=WHITE)
 
 
 def _mix_shader(node: NodeReader) -> Surface:
