@@ -14,10 +14,23 @@ float ps_rectangle_solid_angle(PsArea area)
   return 2.0 * atan(first.x * second.y + first.y * second.x, first.x * second.x - first.y * second.y);
 }
 
-#define PS_HALF_SIDES 12  // of the polygon that stands for an ellipse; a rectangle has 8, with the middles of its sides
+// Share of a GGX lobe centred on `at` in the square from -1 to 1.
+float ps_rectangle_share(vec2 at, vec2 width)
+{
+  vec2 excess = (abs(at) - 1.0) / width;
+  bool vertical = excess.y > excess.x;
+  float flare = ps_flare(vertical ? excess.y : excess.x);
+  width *= vertical ? vec2(flare, 1.0) : vec2(1.0, flare);
+  vec2 low = (1.0 - at) / width, high = (1.0 + at) / width;
+  return 0.25 * (ps_marginal(low.x) + ps_marginal(high.x)) * (ps_marginal(low.y) + ps_marginal(high.y));
+}
 
-// The half vector between the eye and a point of the light, as unit hemispheres have it of which the GGX lobe is the image: there
-// the lobe is that of a Lambertian surface (Heitz et al. 2016).
+#define PS_HALF_SIDES 12  // of the polygon that stands for an ellipse; a rectangle has 8, with the middles of its sides
+#define PS_BEYOND 1.0  // widths of the lobe beyond the light, from where on half vectors are integrated
+#define PS_MOST_OF_LOBE 1.25  // of what a lobe reflects at the mirrored ray, what it reflects in all
+
+// The half vector between the eye and a point of the light, its component along the normal times alpha: among such vectors a GGX
+// lobe is that of a Lambertian surface (Heitz et al. 2016).
 vec3 ps_lambertian_half(vec3 to_point, PsLobes lobes)
 {
   vec3 half_vector = to_point * inversesqrt(max(dot(to_point, to_point), 1e-20)) + lobes.to_eye;
@@ -25,7 +38,7 @@ vec3 ps_lambertian_half(vec3 to_point, PsLobes lobes)
 }
 
 // Share of the lobe's half vectors that mirror the eye to the light. Its outline is curved there: points of its sides count too.
-float ps_area_share(PsArea area, bool ellipse, PsLobes lobes)
+float ps_half_vector_share(PsArea area, bool ellipse, PsLobes lobes)
 {
   const float angle = 2.0 * PS_PI / float(PS_HALF_SIDES);
   float sine = ellipse ? sin(angle) : sqrt(0.5), cosine = ellipse ? cos(angle) : sqrt(0.5);
@@ -43,24 +56,37 @@ float ps_area_share(PsArea area, bool ellipse, PsLobes lobes)
   return 0.5 * abs(total) / PS_PI;
 }
 
-// Unit direction to the point of the light that is nearest to where the mirrored ray meets the light's plane.
-vec3 ps_nearest_to_mirror(PsArea area, float height, bool ellipse, PsLobes lobes)
+// Integral of BSDF times n.l over the light for a narrow lobe. Where the mirrored ray meets the light or its plane near it: the
+// share of the lobe that the light fills there. Beyond: the share of half vectors, by what else varies, at the nearest point. The
+// table knows better what the whole lobe reflects, but where the eye is low not for one side of it alone.
+vec3 ps_narrow_specular(PsArea area, float height, bool ellipse, PsLobes lobes)
 {
   vec3 unit_u = area.axis_u / area.extent.x, unit_v = area.axis_v / area.extent.y;
   float ray = height / max(-dot(lobes.mirror, area.direction), 1e-4);
   vec3 meets = ray * lobes.mirror - area.offset;
-  vec2 at = vec2(dot(meets, unit_u), dot(meets, unit_v)) / area.extent;
-  at = ellipse ? at / max(length(at), 1.0) : clamp(at, -1.0, 1.0);
-  return normalize(area.offset + at.x * area.axis_u + at.y * area.axis_v);
-}
+  vec2 at = vec2(dot(meets, unit_u), dot(meets, unit_v)) / area.extent, nearest;
+  vec2 width = vec2(ps_width_along(lobes, unit_u), ps_width_along(lobes, unit_v)) * ray / area.extent;
+  float share, beyond;
+  if (ellipse) {
+    float radius = length(at);
+    vec2 azimuth = radius > 0.0 ? at / max(radius, 1e-9) : vec2(1.0, 0.0);
+    float along = length(azimuth * width);
+    share = ps_disk_share(radius, 1.0, along, length(azimuth.yx * width));
+    beyond = (radius - 1.0) / along;
+    nearest = at / max(radius, 1.0);
+  }
+  else {
+    share = ps_rectangle_share(at, width);
+    vec2 excess = (abs(at) - 1.0) / width;
+    beyond = max(excess.x, excess.y);
+    nearest = clamp(at, -1.0, 1.0);
+  }
+  vec3 near = lobes.reflectance * (share * ps_beam(area, -dot(lobes.mirror, area.direction)));
 
-// Mean of BSDF times n.l over the light, times its solid angle, for a lobe that is narrow: the share of half vectors, times what
-// else varies, where most of the light comes from.
-vec3 ps_narrow_specular(PsArea area, float height, bool ellipse, PsLobes lobes)
-{
-  vec3 direction = ps_nearest_to_mirror(area, height, ellipse, lobes);
-  vec3 weight = ps_half_weight(lobes, direction) / max(ps_half_weight(lobes, lobes.mirror), 1e-9);
-  return lobes.reflectance * weight * (ps_area_share(area, ellipse, lobes) * ps_beam(area, -dot(direction, area.direction)));
+  vec3 direction = normalize(area.offset + nearest.x * area.axis_u + nearest.y * area.axis_v);
+  vec3 whole = min(lobes.reflectance / max(ps_half_weight(lobes, lobes.mirror), vec3(1e-9)), vec3(PS_MOST_OF_LOBE));
+  float of_halves = ps_half_vector_share(area, ellipse, lobes) * ps_beam(area, -dot(direction, area.direction));
+  return mix(near, of_halves * whole * ps_half_weight(lobes, direction), smoothstep(0.0, PS_BEYOND, beyond));
 }
 
 // Position in half-sides, and weight, of the quadrature of degree 5 over the square (Radon 1948), by the azimuths of

@@ -123,7 +123,7 @@ def facets(sides: int, tilt: float, radius: float) -> Mesh:
 @pytest.mark.parametrize("roughness", [0.05, 0.1, 0.2])
 @pytest.mark.parametrize("sides", [3, 4, 6])
 def test_edges_between_facets_are_no_brighter_than_these(sides, roughness):
-    """Facets of several pixels mirror a sun past the eye, but one with their mean normal would mirror it into the eye."""
+    """Facets of several pixels mirror a sun past the eye, one with their mean normal into the eye."""
     mesh, sun = facets(sides, np.radians(8), 12.0), build.sun(3.0, (0.0, 1.0, 0.0))
     found = drawn(mesh, roughness, 0.5, 0.0, float(SIDE), sun)
     assert mesh.vertex_normal is not None
