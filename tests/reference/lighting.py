@@ -166,8 +166,8 @@ class _Material:
     def half_weight(self, direction: np.ndarray) -> np.ndarray:
         """(N, 3) BSDF of the GGX lobe times n.l by share of its half vectors, for directions (N, 3) to the light."""
         half = unit_rows(direction + self.to_eye)
-        cos_between, cl = np.clip(_dot(half, direction), 0, 1), np.maximum(_dot(self.normal, direction), 1e-6)
-        turned = cos_between / np.maximum(_dot(self.normal, half), 1e-6)
+        cos_between, cl = np.clip(_dot(half, direction), 0, 1), np.maximum(_dot(self.normal, direction), 0)
+        turned = np.where(cl > 0, cos_between / np.maximum(_dot(self.normal, half), 1e-6), 0)
         return (
             self._fresnel(cos_between) * (4 * cl * turned * self._visibility(cl, self.alpha**2 - self.widened))[:, None]
         )

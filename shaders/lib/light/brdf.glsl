@@ -198,10 +198,10 @@ vec3 ps_fresnel(PsLobes lobes, float cos_between)
 vec3 ps_half_weight(PsLobes lobes, vec3 direction)
 {
   vec3 h = direction + lobes.to_eye;
-  float above = max(dot(lobes.reflecting, direction), 1e-6), h2 = dot(h, h);
+  float above = max(dot(lobes.reflecting, direction), 0.0), h2 = dot(h, h);
   float masked = ps_masked(lobes, above, ps_own_alpha2(lobes, lobes.alpha * lobes.alpha));
   // v.h / n.h: the length of h cancels.
-  float turned = 0.5 * h2 / max(dot(lobes.reflecting, h), 1e-6);
+  float turned = above > 0.0 ? 0.5 * h2 / max(dot(lobes.reflecting, h), 1e-6) : 0.0;
   return ps_fresnel(lobes, min(0.5 * sqrt(h2), 1.0)) * (2.0 * above * turned / masked);
 }
 
