@@ -8,7 +8,7 @@
 #define PS_ALIKE 0.9  // least cosine between the normals of a group
 #define PS_SAME 0.9997  // of one facet, where facets are wider than a pixel: 1.4 degrees, twice the steps of keys
 #define PS_RING 16  // pixels that lie two pixels away
-#define PS_WIDE 8  // of them show what the next one shows
+#define PS_WIDE 8  // of them show what the one before shows
 #define PS_APART 2.0  // pixels: farthest distance from a group's plane
 #define PS_FIBRES_APART 8.0  // pixels: greatest difference in depth of a group's fibres
 
