@@ -191,7 +191,7 @@ def test_highlight_of_a_large_light_equals_its_integral(kind, roughness):
 @pytest.mark.parametrize("ellipse", [False, True])
 @pytest.mark.parametrize("roughness", [0.1, 0.2])
 def test_tails_of_narrow_lobes_beside_area_lights_equal_their_integral(roughness, ellipse):
-    """A metal floor that mirrors a light of 1 m, where it is 1e-2 to 1e-4 as bright as at most; against small lights."""
+    """A metal floor that mirrors a light of 1 m, where it is 1e-2 to 1e-4 of its brightest; against small lights."""
     rng, mirror = np.random.default_rng(2), np.array([1.29, -2.57])
     position = np.concatenate([rng.uniform(-2.5, 2.5, (300, 2)) + mirror, np.zeros((300, 1))], axis=1)
     to_eye = np.array([3, -6, 4]) - position
