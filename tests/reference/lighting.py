@@ -34,6 +34,10 @@ ELLIPSE_SIDES = 24
 SPREAD_CELLS = 8  # to a side: an area light with a narrowed beam is summed over a grid
 BLUR = 0.06  # of a light's angular radius squared, added to alpha^2: found to fit best between seven points
 NARROW = (1.5, 4.0)  # angular radius of a light over the lobe's width, between which narrow-lobe shading sets in
+AREA_NARROW = (1.0, 2.5)  # of area lights
+BEYOND = 1.0  # widths of the lobe beyond the light, from where on half vectors are integrated
+MOST_OF_LOBE = 1.25  # of what a lobe reflects at the mirrored ray, what it reflects in all
+HALF_SIDES = 12  # of the polygon that stands for an ellipse among half vectors
 # A quadrature of degree 5 over the unit disk: cosine and sine of the azimuth, radius, weight.
 DISK = (
     (1.0, 0.0, 0.0, 0.25),
@@ -159,6 +163,27 @@ class _Material:
         across2 = _dot(seen, self.across) ** 2 / size2
         return 2 * self.alpha * np.sqrt((1 - across2 * (1 - self.cos_eye**2)) / size2)
 
+    def half_weight(self, direction: np.ndarray) -> np.ndarray:
+        """(N, 3) BSDF of the GGX lobe times n.l by share of its half vectors, for directions (N, 3) to the light."""
+        half = unit_rows(direction + self.to_eye)
+        cos_between, cl = np.clip(_dot(half, direction), 0, 1), np.maximum(_dot(self.normal, direction), 0)
+        turned = np.where(cl > 0, cos_between / np.maximum(_dot(self.normal, half), 1e-6), 0)
+        return (
+            self._fresnel(cos_between) * (4 * cl * turned * self._visibility(cl, self.alpha**2 - self.widened))[:, None]
+        )
+
+    def _visibility(self, cos_light: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Smith's height-correlated masking over 4 n.l n.v (Heitz 2014, equation 99); own: alpha squared."""
+        return 0.5 / (
+            cos_light * np.sqrt(own + (1 - own) * self.cos_eye**2)
+            + self.cos_eye * np.sqrt(own + (1 - own) * cos_light**2)
+        )
+
+    def _fresnel(self, cos_between: np.ndarray) -> np.ndarray:
+        metal = self.metal_f0 + (1 - self.metal_f0) * ((1 - cos_between) ** 5)[:, None]
+        dielectric = fresnel_dielectric(cos_between, self.eta)[:, None]
+        return self.metal_scale * metal + self.dielectric_scale * dielectric
+
     def specular(self, direction: np.ndarray, alpha: np.ndarray | None = None) -> np.ndarray:
         """(N, 3) BSDF of the GGX lobe times n.l for unit directions to the light (N, 3), or of a wider lobe."""
         cos_light = _dot(self.normal, direction)
@@ -175,14 +200,10 @@ class _Material:
         share, own = self.widened / a2, a2 - self.widened
         density = (1 - share) * density + share * np.where(cos_half > 0, gaussian, 0)
         cl = np.maximum(cos_light, 1e-6)
-        visibility = 0.5 / (
-            cl * np.sqrt(own + (1 - own) * self.cos_eye**2) + self.cos_eye * np.sqrt(own + (1 - own) * cl**2)
-        )
+        visibility = self._visibility(cl, own)
         lit = (cos_light > 0) & (_dot(self.shading, direction) > 0) & (_dot(self.normal, self.to_eye) > 0)
         lobe = np.where(lit, density * visibility * cl, 0.0)[:, None]
-        metal = self.metal_f0 + (1 - self.metal_f0) * ((1 - cos_between) ** 5)[:, None]
-        dielectric = fresnel_dielectric(cos_between, self.eta)[:, None]
-        return lobe * (self.metal_scale * metal + self.dielectric_scale * dielectric)
+        return lobe * self._fresnel(cos_between)
 
 
 def _shade_light(position: np.ndarray, normal: np.ndarray, material: _Material, light: Light) -> np.ndarray:
@@ -232,7 +253,8 @@ def _round_light(
     along = np.cross(other, material.mirror)
     share = _disk_share(angle, sigma, material.width_along(along), material.width_along(other))
     solid_angle = 4 * np.pi * np.sin(sigma / 2) ** 2
-    lobe = _lobe_over_light(material, directions, [w for *_, w in DISK], sigma, share, solid_angle)
+    narrow = material.reflectance * share[:, None]
+    lobe = _lobe_over_light(material, directions, [w for *_, w in DISK], sigma, narrow, solid_angle)
     return irradiance, (strength * 2 / (1 + np.cos(sigma)))[:, None] * lobe
 
 
@@ -241,14 +263,15 @@ def _lobe_over_light(
     directions: Sequence[np.ndarray],
     weights: Sequence[np.ndarray | float],
     sigma: np.ndarray,
-    share: np.ndarray,
+    narrow: np.ndarray,
     solid_angle: np.ndarray,
     centre: np.ndarray | float = 1.0,
+    between: tuple[float, float] = NARROW,
 ) -> np.ndarray:
     """Mean (N, 3) of BSDF times n.l over a light of angular radius sigma.
 
     Wide lobes: summed over a few points, each blurred by its part of the light; over the first, weighing `centre`,
-    where all of it is as one point. Narrow lobes: the share that the light fills.
+    where all of it is as one point. Narrow lobes: `narrow` (N, 3), the integral over the light.
     """
     alpha = np.minimum(np.sqrt(material.alpha**2 + BLUR * sigma**2), 1)
     wide = sum(
@@ -257,8 +280,8 @@ def _lobe_over_light(
     )
     small = (sigma < SMALL * material.alpha)[:, None]
     wide = np.where(small, np.reshape(centre, (-1, 1)) * material.specular(directions[0]), wide)
-    narrow = material.reflectance * (share / np.maximum(solid_angle, 1e-20))[:, None]
-    low, high = NARROW
+    narrow = narrow / np.maximum(solid_angle, 1e-20)[:, None]
+    low, high = between
     t = np.clip((sigma / (np.sqrt(2) * material.alpha) - low) / (high - low), 0, 1)[:, None]
     t = t * t * (3 - 2 * t)
     return (1 - t) * wide + t * narrow
@@ -279,6 +302,28 @@ def _rectangle_share(a: np.ndarray, b: np.ndarray, width_a: np.ndarray, width_b:
     )
     share_a = _marginal((1 - a) / width_a) + _marginal((1 + a) / width_a)
     return 0.25 * share_a * (_marginal((1 - b) / width_b) + _marginal((1 + b) / width_b))
+
+
+def _half_vector_share(offset: np.ndarray, material: _Material, light: Light) -> np.ndarray:
+    """Share (N,) of a GGX lobe's half vectors that mirror the eye to an area light at `offset` (N, 3).
+
+    Lambert's formula for its outline among them, their components along the normal times alpha (Heitz et al. 2016).
+    """
+    axis_u, axis_v = area_axes(light)
+    sides = HALF_SIDES if light.ellipse else 8
+    turn = 2 * np.pi * np.arange(sides) / sides
+    at = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    at *= (
+        np.sqrt(2 * np.pi / sides / np.sin(2 * np.pi / sides))
+        if light.ellipse
+        else 1 / np.abs(at).max(1, keepdims=True)
+    )
+    outline = offset[:, None] + (at[:, :1] * axis_u + at[:, 1:] * axis_v)[None]
+    half = outline / np.linalg.norm(outline, axis=2, keepdims=True) + material.to_eye[:, None]
+    normal = material.normal[:, None]
+    half -= (1 - material.alpha)[:, None, None] * (half * normal).sum(2, keepdims=True) * normal
+    total = sum(_edge(half[:, i - 1], half[:, i], material.normal) for i in range(sides))
+    return np.abs(total) / (2 * np.pi)
 
 
 def _flare(x: np.ndarray) -> np.ndarray:
@@ -383,16 +428,27 @@ def _area_light(
         radius = np.hypot(a, b)
         x, y = np.where(radius > 0, a / np.maximum(radius, 1e-9), 1), b / np.maximum(radius, 1e-9)
         across = np.hypot(y * width_u, x * width_v)
+        excess = (radius - 1) / np.hypot(x * width_u, y * width_v)
         share = _disk_share(radius, np.ones_like(radius), np.hypot(x * width_u, y * width_v), across)
     else:
+        excess = np.maximum((np.abs(a) - 1) / width_u, (np.abs(b) - 1) / width_v)
         share = _rectangle_share(a, b, width_u, width_v)
     share *= _light_beam(material.mirror, light)
+    at = np.stack([a, b], axis=1)
+    at = at / np.maximum(np.linalg.norm(at, axis=1, keepdims=True), 1) if light.ellipse else np.clip(at, -1, 1)
+    nearest = unit_rows(offset + at[:, :1] * axis_u + at[:, 1:] * axis_v)
+    beyond = _half_vector_share(offset, material, light) * _light_beam(nearest, light)
+    whole = np.minimum(material.reflectance / np.maximum(material.half_weight(material.mirror), 1e-9), MOST_OF_LOBE)
+    t = np.clip(excess / BEYOND, 0, 1)[:, None]
+    t = t * t * (3 - 2 * t)
 
     corners = [unit_rows(offset + s * axis_u + t * axis_v) for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     solid_angle = _triangle(corners[0], corners[1], corners[2]) + _triangle(corners[0], corners[2], corners[3])
     solid_angle *= np.pi / 4 if light.ellipse else 1
     sigma = np.sqrt(solid_angle / np.pi)
-    lobe = _lobe_over_light(material, directions, weights, sigma, share, solid_angle, beams[0])
+    tails = beyond[:, None] * whole * material.half_weight(nearest)
+    narrow = (1 - t) * material.reflectance * share[:, None] + t * tails
+    lobe = _lobe_over_light(material, directions, weights, sigma, narrow, solid_angle, beams[0], AREA_NARROW)
     return np.where(front, irradiance, 0.0), np.where(front, solid_angle, 0.0)[:, None] * lobe
 
 

@@ -25,24 +25,68 @@ float ps_rectangle_share(vec2 at, vec2 width)
   return 0.25 * (ps_marginal(low.x) + ps_marginal(high.x)) * (ps_marginal(low.y) + ps_marginal(high.y));
 }
 
-// Share of the lobe that the light fills, where the mirrored ray meets the light's plane.
-float ps_area_share(PsArea area, float height, bool ellipse, PsLobes lobes)
+#define PS_HALF_SIDES 12  // of the polygon that stands for an ellipse; a rectangle has 8, with the middles of its sides
+#define PS_BEYOND 1.0  // widths of the lobe beyond the light, from where on half vectors are integrated
+#define PS_MOST_OF_LOBE 1.25  // of what a lobe reflects at the mirrored ray, what it reflects in all
+
+// The half vector between the eye and a point of the light, its component along the normal times alpha: among such vectors a GGX
+// lobe is that of a Lambertian surface (Heitz et al. 2016).
+vec3 ps_lambertian_half(vec3 to_point, PsLobes lobes)
+{
+  vec3 half_vector = to_point * inversesqrt(max(dot(to_point, to_point), 1e-20)) + lobes.to_eye;
+  return half_vector - (1.0 - lobes.alpha) * dot(half_vector, lobes.reflecting) * lobes.reflecting;
+}
+
+// Share of the lobe's half vectors that mirror the eye to the light. Its outline is curved there: points of its sides count too.
+float ps_half_vector_share(PsArea area, bool ellipse, PsLobes lobes)
+{
+  const float angle = 2.0 * PS_PI / float(PS_HALF_SIDES);
+  float sine = ellipse ? sin(angle) : sqrt(0.5), cosine = ellipse ? cos(angle) : sqrt(0.5);
+  float size = ellipse ? sqrt(angle / sin(angle)) : 1.0, total = 0.0;
+  vec2 at = vec2(1.0, 0.0);
+  vec3 a = ps_lambertian_half(area.offset + size * area.axis_u, lobes);
+  int sides = ellipse ? PS_HALF_SIDES : 8;
+  for (int i = 0; i < sides; i++) {
+    at = vec2(cosine * at.x - sine * at.y, sine * at.x + cosine * at.y);
+    vec2 to = at * (ellipse ? size : 1.0 / max(abs(at.x), abs(at.y)));
+    vec3 b = ps_lambertian_half(area.offset + to.x * area.axis_u + to.y * area.axis_v, lobes);
+    total += ps_edge(a, b, lobes.reflecting);
+    a = b;
+  }
+  return 0.5 * abs(total) / PS_PI;
+}
+
+// Integral of BSDF times n.l over the light for a narrow lobe. Where the mirrored ray meets the light or its plane near it: the
+// share of the lobe that the light fills there. Beyond: the share of half vectors, by what else varies, at the nearest point. The
+// table knows better what the whole lobe reflects, but where the eye is low not for one side of it alone.
+vec3 ps_narrow_specular(PsArea area, float height, bool ellipse, PsLobes lobes)
 {
   vec3 unit_u = area.axis_u / area.extent.x, unit_v = area.axis_v / area.extent.y;
   float ray = height / max(-dot(lobes.mirror, area.direction), 1e-4);
   vec3 meets = ray * lobes.mirror - area.offset;
-  vec2 at = vec2(dot(meets, unit_u), dot(meets, unit_v)) / area.extent;
+  vec2 at = vec2(dot(meets, unit_u), dot(meets, unit_v)) / area.extent, nearest;
   vec2 width = vec2(ps_width_along(lobes, unit_u), ps_width_along(lobes, unit_v)) * ray / area.extent;
-  float share;
+  float share, beyond;
   if (ellipse) {
     float radius = length(at);
     vec2 azimuth = radius > 0.0 ? at / max(radius, 1e-9) : vec2(1.0, 0.0);
-    share = ps_disk_share(radius, 1.0, length(azimuth * width), length(azimuth.yx * width));
+    float along = length(azimuth * width);
+    share = ps_disk_share(radius, 1.0, along, length(azimuth.yx * width));
+    beyond = (radius - 1.0) / along;
+    nearest = at / max(radius, 1.0);
   }
   else {
     share = ps_rectangle_share(at, width);
+    vec2 excess = (abs(at) - 1.0) / width;
+    beyond = max(excess.x, excess.y);
+    nearest = clamp(at, -1.0, 1.0);
   }
-  return share * ps_beam(area, -dot(lobes.mirror, area.direction));
+  vec3 near = lobes.reflectance * (share * ps_beam(area, -dot(lobes.mirror, area.direction)));
+
+  vec3 direction = normalize(area.offset + nearest.x * area.axis_u + nearest.y * area.axis_v);
+  vec3 whole = min(lobes.reflectance / max(ps_half_weight(lobes, lobes.mirror), vec3(1e-9)), vec3(PS_MOST_OF_LOBE));
+  float of_halves = ps_half_vector_share(area, ellipse, lobes) * ps_beam(area, -dot(direction, area.direction));
+  return mix(near, of_halves * whole * ps_half_weight(lobes, direction), smoothstep(0.0, PS_BEYOND, beyond));
 }
 
 // Position in half-sides, and weight, of the quadrature of degree 5 over the square (Radon 1948), by the azimuths of
@@ -88,10 +132,10 @@ vec3 ps_area_light(int index, bool ellipse, vec3 position, PsLobes lobes)
   // Wide lobes: points of the light; narrow ones: the share of the lobe that the light fills.
   float solid_angle = ps_rectangle_solid_angle(area) * (ellipse ? PS_PI / 4.0 : 1.0);
   float sigma = sqrt(solid_angle / PS_PI);
-  float narrow = ps_narrow(lobes, sigma);
+  float narrow = smoothstep(PS_AREA_NARROW_LOW, PS_AREA_NARROW_HIGH, sigma / (sqrt(2.0) * lobes.alpha));
   int count = ps_is_small(lobes, sigma) || narrow == 1.0 ? 1 : 7;
   vec3 wide = solid_angle * ps_area_specular(area, count, ellipse, ps_widened_alpha2(lobes, sigma), lobes);
-  vec3 specular = mix(wide, lobes.reflectance * ps_area_share(area, height, ellipse, lobes), narrow);
+  vec3 specular = mix(wide, ps_narrow_specular(area, height, ellipse, lobes), narrow);
   vec3 reflected = ps_reflected(PsReceived(irradiance, specular), lobes, color, light_position.w);
   // Half a sphere of light comes to what lies in front of it, nothing to what lies in its plane, but for rounding.
   vec3 apart = light_position.xyz - position;

@@ -240,6 +240,48 @@ float ps_width_along(PsLobes lobes, vec3 direction)
   return 2.0 * lobes.alpha * sqrt((1.0 - across * across / size2 * (1.0 - lobes.cos_eye * lobes.cos_eye)) / size2);
 }
 
+// The part of alpha squared that is the material's own: normals that are seen do not mask each other.
+float ps_own_alpha2(PsLobes lobes, float a2)
+{
+#ifdef PS_SPREAD
+  return a2 - lobes.widened;
+#else
+  return a2;
+#endif
+}
+
+// 2 n.l n.v over the share of both directions that is not masked, which correlate (Heitz 2014, equation 99).
+float ps_masked(PsLobes lobes, float above, float rough2)
+{
+  return above * sqrt(rough2 + (1.0 - rough2) * lobes.cos_eye * lobes.cos_eye) +
+         lobes.cos_eye * sqrt(rough2 + (1.0 - rough2) * above * above);
+}
+
+// Reflectance of what the half vector stands on, times the lobe's multiple scattering.
+vec3 ps_fresnel(PsLobes lobes, float cos_between)
+{
+  vec3 reflected = vec3(lobes.dielectric_scale * ps_fresnel_dielectric(cos_between, lobes.eta));
+#ifdef PS_HAS_METAL
+  float x = 1.0 - cos_between, x2 = x * x;
+  reflected += lobes.metal_scale * (lobes.metal_f0 + (1.0 - lobes.metal_f0) * (x2 * x2 * x));
+#endif
+#ifdef PS_COAT
+  reflected *= lobes.below;
+#endif
+  return reflected;
+}
+
+// What BSDF times n.l is for each share of the lobe's half vectors, by a direction to the light.
+vec3 ps_half_weight(PsLobes lobes, vec3 direction)
+{
+  vec3 h = direction + lobes.to_eye;
+  float above = max(dot(lobes.reflecting, direction), 0.0), h2 = dot(h, h);
+  float masked = ps_masked(lobes, above, ps_own_alpha2(lobes, lobes.alpha * lobes.alpha));
+  // v.h / n.h: the length of h cancels.
+  float turned = above > 0.0 ? 0.5 * h2 / max(dot(lobes.reflecting, h), 1e-6) : 0.0;
+  return ps_fresnel(lobes, min(0.5 * sqrt(h2), 1.0)) * (2.0 * above * turned / masked);
+}
+
 // BSDF of the GGX lobe times n.l, where the lobe may be widened: a2 is its alpha squared. The half vector is left
 // unnormalised, h = direction + to_eye, and its length cancels.
 vec3 ps_specular(PsLobes lobes, vec3 direction, float a2)
@@ -253,31 +295,18 @@ vec3 ps_specular(PsLobes lobes, vec3 direction, float a2)
   vec3 sine = cross(lobes.reflecting, h);
   float spread = a2 * along * along + dot(sine, sine);
   float cos_between = min(0.5 * sqrt(h2), 1.0);
-  float rough2 = a2;
-#ifdef PS_SPREAD
-  // Normals that are seen do not mask each other, and have no tails as those of a GGX lobe.
-  float share = lobes.widened / a2;
-  rough2 = a2 - lobes.widened;
-#endif
-  float masked = above * sqrt(rough2 + (1.0 - rough2) * lobes.cos_eye * lobes.cos_eye) +
-                 lobes.cos_eye * sqrt(rough2 + (1.0 - rough2) * above * above);
+  float masked = ps_masked(lobes, above, ps_own_alpha2(lobes, a2));
   float density = a2 / (spread * spread);
 #ifdef PS_SPREAD
+  // Normals that are seen have no tails as those of a GGX lobe.
+  float share = lobes.widened / a2;
   float along2 = along > 0.0 ? along * along : 1e-9;
   float tan2 = dot(sine, sine) / along2;
   density = mix(density, exp(-tan2 / a2) / (a2 * along2 * along2), share);
 #endif
   float lobe = density * h2 * h2 * above / (2.0 * PS_PI * masked);
-  vec3 reflected = vec3(lobes.dielectric_scale * ps_fresnel_dielectric(cos_between, lobes.eta));
-#ifdef PS_HAS_METAL
-  float x = 1.0 - cos_between, x2 = x * x;
-  reflected += lobes.metal_scale * (lobes.metal_f0 + (1.0 - lobes.metal_f0) * (x2 * x2 * x));
-#endif
-#ifdef PS_COAT
-  reflected *= lobes.below;
-#endif
   bool lit = cos_light > 0.0 && dot(lobes.normal, direction) > 0.0 && dot(lobes.reflecting, lobes.to_eye) > 0.0;
-  return lit ? lobe * reflected : vec3(0.0);
+  return lit ? lobe * ps_fresnel(lobes, cos_between) : vec3(0.0);
 }
 
 #endif

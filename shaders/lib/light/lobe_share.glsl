@@ -6,6 +6,8 @@
 #define PS_BLUR 0.06
 #define PS_NARROW_LOW 1.5
 #define PS_NARROW_HIGH 4.0
+#define PS_AREA_NARROW_LOW 1.0
+#define PS_AREA_NARROW_HIGH 2.5
 #define PS_SMALL 0.2  // of the lobe's alpha: the angular radius of a light that is a point to it
 
 #ifdef PS_HAS_LIGHTS

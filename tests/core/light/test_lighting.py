@@ -188,6 +188,36 @@ def test_highlight_of_a_large_light_equals_its_integral(kind, roughness):
     assert rms < 0.2  # measured 0.163, where the closed form for narrow lobes sets in
 
 
+@pytest.mark.parametrize("ellipse", [False, True])
+@pytest.mark.parametrize("roughness", [0.1, 0.2])
+def test_tails_of_narrow_lobes_beside_area_lights_equal_their_integral(roughness, ellipse):
+    """A metal floor that mirrors a light of 1 m, where it is 1e-2 to 1e-4 of its brightest; against small lights."""
+    rng, mirror = np.random.default_rng(2), np.array([1.29, -2.57])
+    position = np.concatenate([rng.uniform(-2.5, 2.5, (300, 2)) + mirror, np.zeros((300, 1))], axis=1)
+    to_eye = np.array([3, -6, 4]) - position
+    to_eye /= np.linalg.norm(to_eye, axis=1, keepdims=True)
+    side = np.array([0.5, 0, 0]), np.array([0, 0.5, 0])
+    light = replace(AREA, position=np.array([0, 0, 3.0]), axis_u=side[0], axis_v=side[1], ellipse=ellipse, diffuse=0.0)
+    metal = surface(roughness=roughness, metallic=1.0)
+    normal = np.broadcast_to([0, 0, 1.0], position.shape)
+    got = lighting.shade(position, normal, to_eye, metal, [light])[:, 0]
+    s = (np.arange(24) + 0.5) / 12 - 1
+    u, v = (a.ravel() for a in np.meshgrid(s, s))
+    keep = u**2 + v**2 < 1 if ellipse else np.ones(len(u), bool)
+    want = np.zeros(len(got))
+    for a, b in zip(u[keep], v[keep], strict=True):
+        point = light.position + a * side[0] + b * side[1]
+        away = point - position
+        cosine = away[:, 2] / np.linalg.norm(away, axis=1)
+        part = replace(POINT, position=point, color=np.full(3, (np.pi / 4 if ellipse else 1) / keep.sum()), diffuse=0.0)
+        want += lighting.shade(position, normal, to_eye, metal, [part])[:, 0] * cosine
+    tails = (want < 1e-2 * want.max()) & (want > 1e-4 * want.max())
+    assert tails.sum() > 20
+    error = got[tails] / want[tails] - 1
+    assert np.sqrt((error**2).mean()) < 0.15, f"{np.sqrt((error**2).mean()):.3f}"  # measured 0.063 and 0.13
+    assert np.abs(error).max() < 0.25, f"{np.abs(error).max():.3f}"  # measured 0.11 and 0.20; shares 4.2
+
+
 def test_factors_of_a_light_scale_their_part():
     material = surface(roughness=0.5, ior=1.5, specular=0.5)
     parts = [replace(POINT, diffuse=a, specular=b) for a, b in ((1, 1), (1, 0), (0, 1), (0.5, 0.25))]
