@@ -1,6 +1,7 @@
 // Which triangle each sub-sample shows. PS_DEPTH_ONLY: only how far away it is. PS_CUT: its alpha is not always 1.
 // PS_PANES: a light shines on panes: also which share of it passes. PS_BEHIND_LAYER: all up to the nearest one behind those of
-// ps_before. PS_PANES_COLORED: of each channel.
+// ps_before. PS_PANES_COLORED: of each channel. PS_PEELED: what lies before what is opaque, and not before the least depth of
+// the layer, whose bits ps_following inverts.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/data/polygon.glsl"
@@ -33,6 +34,12 @@ void main()
 #endif
   float d = -v_position.z;
   out_depth = floatBitsToUint(max(d - u.near, 0.0));
+#ifdef PS_PEELED
+  ivec2 cell = ivec2(gl_FragCoord.xy);
+  if (out_depth >= texelFetch(ps_opaque_depths, cell, 0).x || out_depth < ~texelFetch(ps_following, cell, 0).x) {
+    discard;
+  }
+#endif
 #ifdef PS_PANES
 #ifdef PS_PANES_COLORED
   vec3 share = u.through.rgb;
