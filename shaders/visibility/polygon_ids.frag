@@ -1,6 +1,5 @@
 // Which triangle each sub-sample shows. PS_DEPTH_ONLY: only how far away it is. PS_CUT: its alpha is not always 1.
-// PS_PANES: a light shines on panes: also which share of it passes. PS_BEHIND_LAYER: all up to the nearest one behind those of
-// ps_before. PS_PANES_COLORED: of each channel. PS_PEELED: what lies before what is opaque, and not before the least depth of
+// PS_PEELED: what lies before what is opaque, and not before the least depth of
 // the layer, whose bits ps_following inverts.
 
 #include "lib/geometry/camera.glsl"
@@ -11,9 +10,7 @@
 #include "lib/visibility/cut.glsl"
 #endif
 
-#define PS_NOWHERE 0xFFFFFFFFu
 #define PS_OF_CELL 0.5  // of a cell's side: shares of cells are covered at random, and edges in their centres are not
-#define PS_ROUNDING 8u  // units in the last place: a pane does not lie behind itself
 
 void main()
 {
@@ -39,34 +36,6 @@ void main()
   if (out_depth >= texelFetch(ps_opaque_depths, cell, 0).x || out_depth < ~texelFetch(ps_following, cell, 0).x) {
     discard;
   }
-#endif
-#ifdef PS_PANES
-#ifdef PS_PANES_COLORED
-  vec3 share = u.through.rgb;
-#else
-  float share = u.through;
-#endif
-#ifdef PS_BEHIND_LAYER
-  ivec2 texel = ivec2(gl_FragCoord.xy) + u.before;
-  uint before = texelFetch(ps_before, texel, 0).x;
-  if (before == PS_NOWHERE || out_depth <= before + PS_ROUNDING) {
-    discard;
-  }
-  uint through = texelFetch(ps_before, texel + ivec2(0, u.height), 0).x;
-#ifdef PS_PANES_COLORED
-  share *= uintBitsToFloat(uvec3(through, texelFetch(ps_before, texel + ivec2(0, 2 * u.height), 0).x,
-                                 texelFetch(ps_before, texel + ivec2(0, 3 * u.height), 0).x));
-#else
-  share *= uintBitsToFloat(through);
-#endif
-#endif
-#ifdef PS_PANES_COLORED
-  out_share = floatBitsToUint(share.r);
-  out_green = floatBitsToUint(share.g);
-  out_blue = floatBitsToUint(share.b);
-#else
-  out_share = floatBitsToUint(share);
-#endif
 #endif
 #ifndef PS_DEPTH_ONLY
   vec3 normal = vec3(0.0, 0.0, 1.0);

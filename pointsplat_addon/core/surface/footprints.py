@@ -89,6 +89,16 @@ def over_footprints(
     return Appearance(**found), through
 
 
+def through_at(
+    mesh: Mesh, samples: Samples, graphs: dict[int, MaterialGraph], table: MaterialTable, scale: np.ndarray
+) -> np.ndarray:
+    """Returns what passes in the middle of each sample's footprint, (N, 4) float32, as `over_footprints` has it, with
+    images filtered over it."""
+    graphs = {r: MaterialGraph(alpha=g.alpha, transmission_color=g.transmission_color) for r, g in graphs.items()}
+    graphs = {row: graph for row, graph in graphs.items() if graph.channels}
+    return _at(mesh, samples, graphs, table, scale, np.zeros((1, 2)), 1.0, True)[THROUGH][0]
+
+
 def _means(look: Look) -> Look:
     """The means over places, (N, C), of what shows by alpha."""
     through = look.get(THROUGH)

@@ -117,8 +117,8 @@ class PolygonUploads:
         parts, whole = None, plan.sub_samples > 0  # the visibility buffer draws whole meshes
         if geometry.primitive == "AUTO" and not whole:
             parts = self._store.lookup(Key(Kind.PARTS, geometry.key), lambda: make_parts(mesh))
-        translucent = bool((scene.instances.geometry[self._prepared.panes] == row).any())
-        more = (plan.variant, constants_key(scene), scene.materials.cull.tobytes(), parts is not None, whole, translucent)
+        translucent = passing(mesh, scene.materials) is not None
+        more = (plan.variant, constants_key(scene), scene.materials.cull.tobytes(), parts is not None, whole)
         key = Key(Kind.POLYGON_MESH, geometry.key, digest(mesh, scene.materials), other=more)
 
         def make(mesh: Mesh = mesh, parts: Parts | None = parts) -> PolygonMesh:

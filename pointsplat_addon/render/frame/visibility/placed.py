@@ -72,7 +72,7 @@ def placed_textures(
         row, column = np.divmod(pixel, width)
         where = np.stack([column, row], axis=1) + 0.5 + lattice.positions[members[here]]
         depth = depths[here].view(np.float32).astype(np.float64) + view.near
-        samples, scale = _footprints(view, where, depth, mesh, triangle, draw.object_from_view, slot)
+        samples, scale = footprints_in_view(view, where, depth, mesh, triangle, draw.object_from_view, slot)
         look, through = over_footprints(mesh, samples, graphs, scene.materials, scale, translucent)
         for name, out in found.items():
             values = through if name == THROUGH else getattr(look, name.removeprefix("ps_placed_"))
@@ -107,7 +107,7 @@ def placed_textures(
     return {name: device.texture(leaders.size, formats[name], values.reshape(-1)) for name, values in found.items()}
 
 
-def _footprints(
+def footprints_in_view(
     view: SampleView,
     where: np.ndarray,
     depth: np.ndarray,
