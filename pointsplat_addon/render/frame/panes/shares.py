@@ -19,6 +19,11 @@ from ...shadow.panes import pane_shares
 from ..visibility.placed import BLOCK, footprints_in_view
 
 
+STEP = 4  # texels between those at which functions are evaluated first
+CHANGE = 1 / 64  # of a share: between those that differ by less, it is interpolated
+MOST_BETWEEN = 1 << 16  # texels of a layer at which functions are evaluated beside: those where shares change most
+
+
 def shares_of_layer(
     scene: Scene, draws: Sequence[Drawn], view: SampleView, ids: np.ndarray, depths: np.ndarray
 ) -> np.ndarray:
@@ -26,63 +31,87 @@ def shares_of_layer(
 
     ids: (H, W) uint32, numbers of triangles. depths: (H, W) uint32, the bits of float32 beyond the near plane.
 
-    Functions are evaluated at every other texel of each row and column, and elsewhere only where another triangle
-    begins.
+    Functions are evaluated at texels STEP apart, and at those between them that show another triangle or lie where
+    shares change most; elsewhere they are interpolated.
     """
     constants = pane_shares(scene.materials)
     found = np.ones((*ids.shape, constants.shape[1]), np.float32)
-    shared = ids[::2, ::2].repeat(2, axis=0).repeat(2, axis=1)[: ids.shape[0], : ids.shape[1]] == ids
-    shared[::2, ::2] = False
     number = np.where(ids == EMPTY, -1, (ids & ~np.uint32(RASTERISED)).astype(np.int64))
+    varies = np.zeros(ids.shape, np.bool_)
     for draw in draws:
         mine = (number >= draw.first_id) & (number < draw.first_id + draw.triangles)
         material = draw.identify(number[mine] - draw.first_id)[:, 1]
         found[mine] = constants[material]
-        varying = [group.material for group in draw.groups if group.placed]
-        wanted = mine & ~shared
-        wanted[mine] &= np.isin(material, varying)
-        rows, columns = np.nonzero(wanted)
-        if not len(rows):
-            continue
-        where = np.stack([columns, rows], axis=1) + 0.5
-        depth = depths[wanted].view(np.float32).astype(np.float64) + view.near
-        slot, triangle = draw.locate(number[wanted] - draw.first_id)
-        geometry = scene.instances.geometry[draw.instance][slot]
-        here = np.empty((len(rows), found.shape[2]), np.float32)
-        for row in np.unique(geometry).tolist():
-            mesh = scene.geometries[row].mesh
-            assert mesh is not None
-            own = np.flatnonzero(geometry == row)
-            each_block(
-                len(own),
-                lambda block, own=own, mesh=mesh: _evaluate(
-                    scene, view, draw, mesh, where, depth, slot, triangle, own[block], here
-                ),
-                BLOCK,
-            )
-        found[wanted] = here
-        copied = mine & shared
-        copied[mine] &= np.isin(material, varying)
-        y, x = np.nonzero(copied)
-        found[y, x] = found[y & ~1, x & ~1]
+        varies[mine] = np.isin(material, [group.material for group in draw.groups if group.placed])
+    if not varies.any():
+        return found
+
+    def evaluate(wanted: np.ndarray) -> None:
+        for draw in draws:
+            mine = wanted & (number >= draw.first_id) & (number < draw.first_id + draw.triangles)
+            if mine.any():
+                found[mine] = _shares(scene, draw, view, mine, number[mine] - draw.first_id, depths)
+
+    first = np.zeros_like(varies)
+    first[::STEP, ::STEP] = True
+    evaluate(varies & first)
+    between, change = _interpolated(found, ids)
+    change[~varies | first] = 0
+    uneven = change[(change > CHANGE) & np.isfinite(change)]
+    least = CHANGE if len(uneven) <= MOST_BETWEEN else np.partition(uneven, -MOST_BETWEEN)[-MOST_BETWEEN]
+    even = varies & ~first & (change <= least)
+    found[even] = between[even]
+    evaluate(varies & ~first & ~even)
     return found
 
 
-def _evaluate(
-    scene: Scene,
-    view: SampleView,
-    draw: Drawn,
-    mesh: Mesh,
-    where: np.ndarray,
-    depth: np.ndarray,
-    slot: np.ndarray,
-    triangle: np.ndarray,
-    own: np.ndarray,
-    out: np.ndarray,
-) -> None:
-    """Writes into `out` what passes at those of some texels that `own` lists."""
-    samples, scale = footprints_in_view(
-        view, where[own], depth[own], mesh, triangle[own], draw.object_from_view, slot[own]
-    )
-    through = through_at(mesh, samples, graphs_of(mesh, scene.materials), scene.materials, scale)
-    out[own] = through[:, : out.shape[1]]
+def _interpolated(shares: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns shares (H, W, C) interpolated between texels STEP apart, and by how much these differ, (H, W) float32;
+    infinite where they do not show the same triangle."""
+    height, width = ids.shape
+    rows, columns = -(-height // STEP), -(-width // STEP)
+    coarse, known = shares[::STEP, ::STEP], ids[::STEP, ::STEP]
+    whole = [known]
+    ends = [coarse]
+    for y, x in ((0, 1), (1, 0), (1, 1)):
+        # Beyond the last there are none: no number is one of none.
+        whole.append(np.pad(known[y:, x:], ((0, y), (0, x)), constant_values=EMPTY))
+        ends.append(np.pad(coarse[y:, x:], ((0, y), (0, x), (0, 0))))
+    least, most = np.minimum.reduce(ends), np.maximum.reduce(ends)
+    alike = np.logical_and.reduce([other == known for other in whole[1:]])
+    change = np.where(alike, (most - least).max(axis=2), np.float32(np.inf))
+    at = (np.arange(STEP) / STEP).astype(np.float32)
+    across, up = at[None, None, None, :, None], at[None, :, None, None, None]
+    a, b, c, d = (end[:, None, :, None] for end in ends)
+    between = (1 - up) * (a + across * (b - a)) + up * (c + across * (d - c))
+    between = between.reshape(rows * STEP, columns * STEP, -1)[:height, :width]
+    change, known = (a.repeat(STEP, axis=0).repeat(STEP, axis=1)[:height, :width] for a in (change, known))
+    return between, np.where(known == ids, change, np.float32(np.inf))
+
+
+def _shares(
+    scene: Scene, draw: Drawn, view: SampleView, mine: np.ndarray, number: np.ndarray, depths: np.ndarray
+) -> np.ndarray:
+    """Returns the shares, (N, C) float32, at the texels `mine` (H, W) bool, which show triangles by their numbers (N,)
+    in a draw."""
+    rows, columns = np.nonzero(mine)
+    where = np.stack([columns, rows], axis=1) + 0.5
+    depth = depths[mine].view(np.float32).astype(np.float64) + view.near
+    slot, triangle = draw.locate(number)
+    geometry = scene.instances.geometry[draw.instance][slot]
+    found = np.empty((len(rows), pane_shares(scene.materials).shape[1]), np.float32)
+    for row in np.unique(geometry).tolist():
+        mesh = scene.geometries[row].mesh
+        assert mesh is not None
+        own = np.flatnonzero(geometry == row)
+
+        def evaluate(block: slice, own: np.ndarray = own, mesh: Mesh = mesh) -> None:
+            some = own[block]
+            samples, scale = footprints_in_view(
+                view, where[some], depth[some], mesh, triangle[some], draw.object_from_view, slot[some]
+            )
+            through = through_at(mesh, samples, graphs_of(mesh, scene.materials), scene.materials, scale)
+            found[some] = through[:, : found.shape[1]]
+
+        each_block(len(own), evaluate, BLOCK)
+    return found
