@@ -8,7 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from ..material.evaluation import Appearance
+from ..material.expression import walk
 from ..material.graph import MaterialGraph
+from ..material.nodes.color_nodes import Color, Combine, Component, Gray, Mix
+from ..material.nodes.input_nodes import Constant, Source
+from ..material.nodes.math_nodes import Mapping, Math
+from ..material.nodes.texture_nodes import ImageTexture
 from ..scene.materials import MaterialTable
 from ..scene.mesh import Mesh
 from .appearance import at_places
@@ -21,6 +26,7 @@ FEW = np.array([[-0.75, -0.25], [0.75, 0.25]])
 MORE = np.array([[0.25, -0.75], [-0.25, 0.75]])
 MANY = np.stack(np.meshgrid(*2 * [np.arange(4)], indexing="ij"), axis=-1).reshape(-1, 2)
 MANY = (2 * (MANY + (MANY[:, ::-1] + 0.5) / 4) / 4) - 1  # of which no two lie in one row or column
+EVEN = frozenset(("ADD", "SUBTRACT", "MULTIPLY", "MULTIPLY_ADD", "DIVIDE"))  # operations of Math that do not jump
 CHANGE = 1 / 64  # of an attribute: places that differ by more are not enough
 
 
@@ -78,7 +84,7 @@ def over_footprints(
     if len(rows):
         again = at(rows, MORE, 0.5)
         four = {name: np.concatenate([values[:, rows], again[name]]) for name, values in look.items()}
-        uneven = _uneven(four)
+        uneven = np.zeros(0, np.intp) if all(map(_only_images, graphs.values())) else _uneven(four)
         for name, values in _means(four).items():
             found[name][rows] = values
         if len(uneven):
@@ -87,6 +93,14 @@ def over_footprints(
                 found[name][uneven] = values
     through = found.pop(THROUGH, None)
     return Appearance(**found), through
+
+
+def _only_images(graph: MaterialGraph) -> bool:
+    """Whether all that varies within a triangle comes evenly from images, which are filtered wherever they are read."""
+    even = ImageTexture, Source, Constant, Color, Component, Gray, Combine, Mix, Mapping, Math
+    nodes = list(walk(*graph.channels.values()))
+    jumps = any(isinstance(node, Math) and node.operation not in EVEN for node in nodes)
+    return graph.normal is None and not jumps and all(isinstance(node, even) for node in nodes)
 
 
 def through_at(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -36,21 +36,31 @@ def shares_of_layer(
     """
     constants = pane_shares(scene.materials)
     found = np.ones((*ids.shape, constants.shape[1]), np.float32)
-    number = np.where(ids == EMPTY, -1, (ids & ~np.uint32(RASTERISED)).astype(np.int64))
+    begins = np.array([draw.first_id for draw in draws])
     varies = np.zeros(ids.shape, np.bool_)
-    for draw in draws:
-        mine = (number >= draw.first_id) & (number < draw.first_id + draw.triangles)
-        material = draw.identify(number[mine] - draw.first_id)[:, 1]
-        found[mine] = constants[material]
-        varies[mine] = np.isin(material, [group.material for group in draw.groups if group.placed])
+
+    def of_each(wanted: np.ndarray) -> Iterator[tuple[Drawn, np.ndarray, np.ndarray, np.ndarray]]:
+        """Yields each draw that texels (H, W) bool show, with these rows and columns (N,) and its triangles (N,)."""
+        rows, columns = np.nonzero(wanted)
+        number = (ids[rows, columns] & ~np.uint32(RASTERISED)).astype(np.int64)
+        owner = np.searchsorted(begins, number, side="right") - 1
+        order = np.argsort(owner, kind="stable")
+        shown, at = np.unique(owner[order], return_index=True)
+        for k, some in zip(shown.tolist(), np.split(order, at[1:]), strict=True):
+            yield draws[k], rows[some], columns[some], number[some] - draws[k].first_id
+
+    for draw, rows, columns, number in of_each(ids != EMPTY):
+        material = draw.identify(number)[:, 1]
+        found[rows, columns] = constants[material]
+        varies[rows, columns] = np.isin(material, [group.material for group in draw.groups if group.placed])
     if not varies.any():
         return found
 
     def evaluate(wanted: np.ndarray) -> None:
-        for draw in draws:
-            mine = wanted & (number >= draw.first_id) & (number < draw.first_id + draw.triangles)
-            if mine.any():
-                found[mine] = _shares(scene, draw, view, mine, number[mine] - draw.first_id, depths)
+        for draw, rows, columns, number in of_each(wanted):
+            depth = depths[rows, columns].view(np.float32).astype(np.float64) + view.near
+            where = np.stack([columns, rows], axis=1) + 0.5
+            found[rows, columns] = _shares(scene, draw, view, where, depth, number, found.shape[2])
 
     first = np.zeros_like(varies)
     first[::STEP, ::STEP] = True
@@ -90,16 +100,19 @@ def _interpolated(shares: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _shares(
-    scene: Scene, draw: Drawn, view: SampleView, mine: np.ndarray, number: np.ndarray, depths: np.ndarray
+    scene: Scene,
+    draw: Drawn,
+    view: SampleView,
+    where: np.ndarray,
+    depth: np.ndarray,
+    number: np.ndarray,
+    channels: int,
 ) -> np.ndarray:
-    """Returns the shares, (N, C) float32, at the texels `mine` (H, W) bool, which show triangles by their numbers (N,)
-    in a draw."""
-    rows, columns = np.nonzero(mine)
-    where = np.stack([columns, rows], axis=1) + 0.5
-    depth = depths[mine].view(np.float32).astype(np.float64) + view.near
+    """Returns the shares, (N, C) float32, of triangles of a draw by their numbers (N,), at positions in the picture
+    (N, 2) and depths (N,)."""
     slot, triangle = draw.locate(number)
     geometry = scene.instances.geometry[draw.instance][slot]
-    found = np.empty((len(rows), pane_shares(scene.materials).shape[1]), np.float32)
+    found = np.empty((len(number), channels), np.float32)
     for row in np.unique(geometry).tolist():
         mesh = scene.geometries[row].mesh
         assert mesh is not None
@@ -111,7 +124,7 @@ def _shares(
                 view, where[some], depth[some], mesh, triangle[some], draw.object_from_view, slot[some]
             )
             through = through_at(mesh, samples, graphs_of(mesh, scene.materials), scene.materials, scale)
-            found[some] = through[:, : found.shape[1]]
+            found[some] = through[:, :channels]
 
         each_block(len(own), evaluate, BLOCK)
     return found
