@@ -81,10 +81,12 @@ def over_footprints(
     found = _means(look)
     # Two places do not tell how far normals turn.
     rows = np.arange(len(samples)) if "normal" in look else _uneven(look)
+    if translucent and all(map(_only_images, graphs.values())):
+        rows = rows[:0]
     if len(rows):
         again = at(rows, MORE, 0.5)
         four = {name: np.concatenate([values[:, rows], again[name]]) for name, values in look.items()}
-        uneven = np.zeros(0, np.intp) if all(map(_only_images, graphs.values())) else _uneven(four)
+        uneven = _uneven(four)
         for name, values in _means(four).items():
             found[name][rows] = values
         if len(uneven):

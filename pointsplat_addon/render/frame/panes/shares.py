@@ -42,6 +42,8 @@ def shares_of_layer(
     def of_each(wanted: np.ndarray) -> Iterator[tuple[Drawn, np.ndarray, np.ndarray, np.ndarray]]:
         """Yields each draw that texels (H, W) bool show, with these rows and columns (N,) and its triangles (N,)."""
         rows, columns = np.nonzero(wanted)
+        if not len(rows):
+            return
         number = (ids[rows, columns] & ~np.uint32(RASTERISED)).astype(np.int64)
         owner = np.searchsorted(begins, number, side="right") - 1
         order = np.argsort(owner, kind="stable")
