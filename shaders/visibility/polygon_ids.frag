@@ -1,6 +1,6 @@
 // Which triangle each sub-sample shows. PS_DEPTH_ONLY: only how far away it is. PS_CUT: its alpha is not always 1.
-// PS_PEELED: what lies before what is opaque, and not before the least depth of
-// the layer, whose bits ps_following inverts.
+// PS_PEELED: what does not lie before the least depth of a layer,
+// whose bits ps_following inverts. PS_BEFORE_OPAQUE: what lies before what is opaque.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/data/polygon.glsl"
@@ -32,8 +32,12 @@ void main()
   float d = -v_position.z;
   out_depth = floatBitsToUint(max(d - u.near, 0.0));
 #ifdef PS_PEELED
-  ivec2 cell = ivec2(gl_FragCoord.xy);
-  if (out_depth >= texelFetch(ps_opaque_depths, cell, 0).x || out_depth < ~texelFetch(ps_following, cell, 0).x) {
+  if (out_depth < ~texelFetch(ps_following, ivec2(gl_FragCoord.xy), 0).x) {
+    discard;
+  }
+#endif
+#ifdef PS_BEFORE_OPAQUE
+  if (out_depth >= texelFetch(ps_opaque_depths, ivec2(gl_FragCoord.xy), 0).x) {
     discard;
   }
 #endif

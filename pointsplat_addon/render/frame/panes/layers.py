@@ -25,7 +25,7 @@ from ...passes.translucent.pane_layers import (
 from ...passes.translucent.strata import member_texels, weight_rows
 from ...passes.uniforms import SampleView
 from ...passes.visibility.buffer import VisibilityBuffer
-from ...passes.visibility.polygon_ids import PolygonCover
+from ...passes.visibility.polygon_ids import FOLLOWING, OPAQUE, PolygonCover
 from ...passes.visibility.polygon_mesh import THROUGH
 from ...plan.plan import Plan
 from ...prepare.prepare import Prepared
@@ -91,7 +91,7 @@ class Panes:
         draws = polygon_draws(device, panes, view, 0, None)
         if not draws:
             return
-        cover = PolygonCover(device, draws, self._buffer, self._plan.variant.normal, peeled=True)
+        cover = PolygonCover(device, draws, self._buffer, self._plan.variant.normal, (FOLLOWING, OPAQUE))
         try:
             last = self._draw_layers(view, cover)
         finally:
@@ -105,7 +105,7 @@ class Panes:
         device.clear(self._state_targets[0])
         for layer in range(MOST_LAYERS):
             state = self._states[current]
-            peeled = {"ps_opaque_depths": self._targets.buffer.depths, "ps_following": state["ps_following"]}
+            peeled = {OPAQUE: self._targets.buffer.depths, FOLLOWING: state[FOLLOWING]}
             self._buffer.clear()
             self._run("polygons", lambda peeled=peeled: cover.rasterise(view, {**self._uploads.shared, **peeled}))
             self._run("group", lambda: self._group(view, cover))

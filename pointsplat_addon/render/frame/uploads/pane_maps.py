@@ -11,7 +11,7 @@ from ...passes.shadow.keep_depths import keep_depths
 from ...passes.shadow.panes import keep_shares, mark_following
 from ...passes.uniforms import view_of
 from ...passes.visibility.buffer import VisibilityBuffer
-from ...passes.visibility.polygon_ids import PolygonCover
+from ...passes.visibility.polygon_ids import FOLLOWING, PolygonCover
 from ...shadow.panes import PaneMaps
 from ..panes.shares import shares_of_layer
 from ..visibility.polygon_draws import polygon_draws
@@ -26,20 +26,19 @@ def draw_panes(device: Device, panes: PaneMaps, casters: CasterUploads) -> Textu
     with ExitStack() as unfinished, ExitStack() as temporary:  # what is released if it fails, and in any case
         buffer = VisibilityBuffer(device, ONE_EACH, (width, rows))
         temporary.callback(buffer.release)
-        empty, following = (device.texture((width, rows), "R32UI") for _ in range(2))
+        following = device.texture((width, rows), "R32UI")
+        temporary.callback(following.release)
         mark = device.target([following])
-        for item in (empty, following, mark):
-            temporary.callback(item.release)
-        device.fill(empty)
+        temporary.callback(mark.release)
         texture = device.texture(panes.size, "R32UI")
         unfinished.callback(texture.release)
         target = device.target([texture])
         temporary.callback(target.release)
-        peeled = {**casters.points.instances, "ps_opaque_depths": empty, "ps_following": following}
+        peeled = {**casters.points.instances, FOLLOWING: following}
         for view in views:
             seen, (columns, lines) = view_of(view.camera), view.size
             casters.look_from(seen)
-            cover = PolygonCover(device, polygon_draws(device, casters, seen, 0, None), buffer, False, peeled=True)
+            cover = PolygonCover(device, polygon_draws(device, casters, seen, 0, None), buffer, False, (FOLLOWING,))
             temporary.callback(cover.release)
             device.fill(following)
             through = np.ones((lines, columns, panes.channels), np.float32)

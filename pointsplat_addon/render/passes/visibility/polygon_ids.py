@@ -44,8 +44,7 @@ from .small_triangles import LIST_SAMPLER, LISTED, group_fields, is_cut, triangl
 MOST_VERTICES = 1 << 26  # of one draw
 AVERAGE_DEFINE = ("PS_AVERAGE", "1")  # pictures are averaged over sub-samples
 ID_FIELDS: Fields = (("int", "first_id"),)  # number of the first triangle of the first instance
-# What is opaque, and of which depths on the next layer may be: bits of depths, those of the latter inverted.
-PEEL_SAMPLERS = ("ps_opaque_depths", "ps_following")
+FOLLOWING, OPAQUE = "ps_following", "ps_opaque_depths"  # of what is drawn layer by layer: from where on, and up to where
 MESH_FIELDS: Fields = (
     ("int", "material"),
     *ID_FIELDS,
@@ -66,12 +65,13 @@ def depths_program(lattice: Lattice, group: Group, one: bool, listed: bool = Fal
 
 
 def ids_program(
-    normal: bool, lattice: Lattice, group: Group, one: bool, listed: bool = False, peeled: bool = False
+    normal: bool, lattice: Lattice, group: Group, one: bool, listed: bool = False, peeled: tuple[str, ...] = ()
 ) -> Interface:
     """Returns the program that draws a group of triangles into the visibility buffer.
 
     `normal`: something is lit, and normals tell surfaces apart. `one`: there is one instance. `listed`: those of a list
-    alone. `peeled`: only what lies behind the layers before, and before what is opaque.
+    alone. `peeled`: FOLLOWING, where only what lies behind the layers before is drawn, and OPAQUE, where it lies before
+    what is opaque.
     """
     varyings = [("flat", "uint", "v_id"), ("flat", "vec3" if group.blocks else "vec2", "v_about")]
     identity = (*varyings, *((("smooth", "vec3", "v_normal"),) if normal else ()))
@@ -84,7 +84,7 @@ def _cover_program(
     one: bool,
     identity: tuple[tuple[str, str, str], ...],
     listed: bool,
-    peeled: bool = False,
+    peeled: tuple[str, ...] = (),
 ) -> Interface:
     """Returns the program that draws a group of triangles. `identity`: varyings that tell triangles and surfaces apart;
     none: only depths are drawn."""
@@ -112,7 +112,8 @@ def _cover_program(
     sample = (*(SAMPLE_FIELDS if cut else ()), *(FOOTPRINT_FIELDS if levels else ()))
     alone = (*ONE_INSTANCE_FIELDS, *((("int", "instance"),) if cut else ())) if one else ()
     flags = {"PS_CULL": group.cull, "PS_NORMAL": normal, "PS_ONE_INSTANCE": one, "PS_CUT": cut,
-             "PS_LISTED": listed, "PS_PEELED": peeled, DEPTH_ONLY_DEFINE[0]: not identity}  # fmt: skip
+             "PS_LISTED": listed, "PS_PEELED": FOLLOWING in peeled,
+             "PS_BEFORE_OPAQUE": OPAQUE in peeled, DEPTH_ONLY_DEFINE[0]: not identity}  # fmt: skip
     return Interface(
         "polygons" if identity else "shadow maps",
         vertex="visibility/polygon_ids.vert",
@@ -123,7 +124,7 @@ def _cover_program(
         samplers=(
             *(("FLOAT_2D", name) for name in samplers),
             *((LIST_SAMPLER,) if listed else ()),
-            *((("UINT_2D", name) for name in PEEL_SAMPLERS) if peeled else ()),
+            *(("UINT_2D", name) for name in peeled),
         ),
         varyings=tuple(varyings),
         outputs=OUTPUTS if identity else DEPTH_OUTPUT,
@@ -337,10 +338,15 @@ class PolygonCover(PolygonDepths):
     """Draws the polygons of one picture into its visibility buffer."""
 
     def __init__(
-        self, device: Device, draws: list[Drawn], buffer: VisibilityBuffer, normal: bool, peeled: bool = False
+        self,
+        device: Device,
+        draws: list[Drawn],
+        buffer: VisibilityBuffer,
+        normal: bool,
+        peeled: tuple[str, ...] = (),
     ) -> None:
-        """`normal`: normals tell surfaces apart. `peeled`: they are drawn layer by layer, and all by the rasteriser;
-        what draws them is given PEEL_SAMPLERS."""
+        """`normal`: normals tell surfaces apart. `peeled`: see `ids_program`; the rasteriser draws all, and is given
+        these textures."""
         super().__init__(device, draws, buffer)
         self._buffer, self._normal, self._peeled = buffer, normal, peeled
 
