@@ -1,6 +1,7 @@
 // Which triangle each sub-sample shows. PS_DEPTH_ONLY: only how far away it is. PS_CUT: its alpha is not always 1.
 // PS_PEELED: what does not lie before the least depth of a layer,
 // whose bits ps_following inverts. PS_BEFORE_OPAQUE: what lies before what is opaque.
+// PS_WITHOUT_KEYS: surfaces are not told apart.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/data/polygon.glsl"
@@ -42,17 +43,19 @@ void main()
   }
 #endif
 #ifndef PS_DEPTH_ONLY
+  out_id = PS_RASTERISED | v_id;
+#ifndef PS_WITHOUT_KEYS
   vec3 normal = vec3(0.0, 0.0, 1.0);
 #ifdef PS_NORMAL
   normal = gl_FrontFacing ? v_normal : -v_normal;  // as the triangle is shaded
 #endif
-  out_id = PS_RASTERISED | v_id;
 #ifdef PS_BLOCKS
   int material = int(v_about.z);
 #else
   int material = u.material;
 #endif
   out_key = ps_surface_key(int(v_about.x), material, normal);
+#endif
 #endif
   gl_FragDepth = ps_buffer_depth(d);
 }

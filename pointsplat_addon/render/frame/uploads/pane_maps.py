@@ -10,7 +10,7 @@ from ...device.protocol import Device, Texture
 from ...passes.shadow.keep_depths import keep_depths
 from ...passes.shadow.panes import keep_shares, mark_following
 from ...passes.uniforms import view_of
-from ...passes.visibility.buffer import VisibilityBuffer
+from ...passes.visibility.buffer import IdBuffer
 from ...passes.visibility.polygon_ids import FOLLOWING, PolygonCover
 from ...shadow.panes import PaneMaps
 from ..panes.shares import shares_of_layer
@@ -24,7 +24,7 @@ def draw_panes(device: Device, panes: PaneMaps, casters: CasterUploads) -> Textu
     views, height = panes.maps.views, panes.maps.size[1]
     width, rows = np.max([view.size for view in views], axis=0).tolist()
     with ExitStack() as unfinished, ExitStack() as temporary:  # what is released if it fails, and in any case
-        buffer = VisibilityBuffer(device, ONE_EACH, (width, rows))
+        buffer = IdBuffer(device, ONE_EACH, (width, rows))
         temporary.callback(buffer.release)
         following = device.texture((width, rows), "R32UI")
         temporary.callback(following.release)

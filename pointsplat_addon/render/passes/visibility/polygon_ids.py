@@ -30,6 +30,7 @@ from .buffer import (
     LATTICE_FIELDS,
     OUTPUTS,
     DepthBuffer,
+    IdBuffer,
     VisibilityBuffer,
     member_defines,
     offset_defines,
@@ -65,17 +66,24 @@ def depths_program(lattice: Lattice, group: Group, one: bool, listed: bool = Fal
 
 
 def ids_program(
-    normal: bool, lattice: Lattice, group: Group, one: bool, listed: bool = False, peeled: tuple[str, ...] = ()
+    normal: bool,
+    lattice: Lattice,
+    group: Group,
+    one: bool,
+    listed: bool = False,
+    peeled: tuple[str, ...] = (),
+    keyed: bool = True,
 ) -> Interface:
     """Returns the program that draws a group of triangles into the visibility buffer.
 
     `normal`: something is lit, and normals tell surfaces apart. `one`: there is one instance. `listed`: those of a list
     alone. `peeled`: FOLLOWING, where only what lies behind the layers before is drawn, and OPAQUE, where it lies before
-    what is opaque.
+    what is opaque. `keyed`: into an IdBuffer otherwise.
     """
-    varyings = [("flat", "uint", "v_id"), ("flat", "vec3" if group.blocks else "vec2", "v_about")]
+    varyings = [("flat", "uint", "v_id")]
+    varyings += [("flat", "vec3" if group.blocks else "vec2", "v_about")] if keyed else []
     identity = (*varyings, *((("smooth", "vec3", "v_normal"),) if normal else ()))
-    return _cover_program(lattice, group, one, identity, listed, peeled)
+    return _cover_program(lattice, group, one, identity, listed, peeled, keyed)
 
 
 def _cover_program(
@@ -85,6 +93,7 @@ def _cover_program(
     identity: tuple[tuple[str, str, str], ...],
     listed: bool,
     peeled: tuple[str, ...] = (),
+    keyed: bool = True,
 ) -> Interface:
     """Returns the program that draws a group of triangles. `identity`: varyings that tell triangles and surfaces apart;
     none: only depths are drawn."""
@@ -112,13 +121,15 @@ def _cover_program(
     sample = (*(SAMPLE_FIELDS if cut else ()), *(FOOTPRINT_FIELDS if levels else ()))
     alone = (*ONE_INSTANCE_FIELDS, *((("int", "instance"),) if cut else ())) if one else ()
     flags = {"PS_CULL": group.cull, "PS_NORMAL": normal, "PS_ONE_INSTANCE": one, "PS_CUT": cut,
-             "PS_LISTED": listed, "PS_PEELED": FOLLOWING in peeled,
+             "PS_LISTED": listed, "PS_PEELED": FOLLOWING in peeled, "PS_WITHOUT_KEYS": not keyed,
              "PS_BEFORE_OPAQUE": OPAQUE in peeled, DEPTH_ONLY_DEFINE[0]: not identity}  # fmt: skip
     return Interface(
         "polygons" if identity else "shadow maps",
         vertex="visibility/polygon_ids.vert",
         fragment="visibility/polygon_ids.frag",
         block=_block("PolygonIds", group, one, own, (("int", "mirrored"),), LATTICE_FIELDS, sample)
+        if identity and keyed
+        else block("PeeledIds", CAMERA_FIELDS, MESH_FIELDS[1:], own, alone, LATTICE_FIELDS, sample)
         if identity
         else block("PolygonDepths", CAMERA_FIELDS, own, alone, LATTICE_FIELDS, sample),
         samplers=(
@@ -127,7 +138,7 @@ def _cover_program(
             *(("UINT_2D", name) for name in peeled),
         ),
         varyings=tuple(varyings),
-        outputs=OUTPUTS if identity else DEPTH_OUTPUT,
+        outputs=(OUTPUTS if keyed else OUTPUTS[:2]) if identity else DEPTH_OUTPUT,
         defines=(
             LATTICE_DEFINE,
             *define_entries([*names, *(name for name, on in flags.items() if on)]),
@@ -341,7 +352,7 @@ class PolygonCover(PolygonDepths):
         self,
         device: Device,
         draws: list[Drawn],
-        buffer: VisibilityBuffer,
+        buffer: IdBuffer,
         normal: bool,
         peeled: tuple[str, ...] = (),
     ) -> None:
@@ -352,10 +363,11 @@ class PolygonCover(PolygonDepths):
 
     def identify(self, view: SampleView, shared: dict[str, Texture]) -> None:
         """Draws the numbers of what `cover` has drawn."""
+        assert isinstance(self._buffer, VisibilityBuffer)
         self._compute("IDENTIFY", view, shared, {"ids": self._buffer.ids, "keys": self._buffer.keys})
 
     def _raster_program(self, draw: Drawn, group: Group, listed: bool) -> Interface:
-        return ids_program(self._normal, self._buffer.lattice, group, draw.one, listed, self._peeled)
+        return ids_program(self._normal, self._buffer.lattice, group, draw.one, listed, self._peeled, self._buffer.keyed)
 
     def _compute_program(self, draw: Drawn, group: Group, step: str) -> Interface:
         return triangle_program(self._buffer.lattice, group, draw.one, step, self._normal)
