@@ -138,7 +138,9 @@ def _used_materials(scene: Scene, prepared: Prepared, store: Store) -> tuple[set
         if (color := cloud.color) is not None:
             albedo = max(albedo, store.lookup(Key(Kind.BRIGHTEST_COLOR, points.key), lambda c=color: _brightest(c)))
         smooth |= cloud.surface is not None
-    for row in np.unique(scene.instances.geometry[prepared.all_polygons]).tolist() if len(prepared.all_polygons) else ():
+    for row in (
+        np.unique(scene.instances.geometry[prepared.all_polygons]).tolist() if len(prepared.all_polygons) else ()
+    ):
         mesh = scene.geometries[row].mesh
         if mesh is None:
             continue

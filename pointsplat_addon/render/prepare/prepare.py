@@ -31,8 +31,8 @@ from .hierarchies import ball_tree_if_it_pays, with_hierarchy_for_defocus, with_
 from .layers import cut_layer, with_ball_nodes, with_page_nodes
 from .meshes.far import far_nodes
 from .meshes.hybrid import InstanceChoice, choose_parts, primitives_by_part
-from .meshes.points import Primitives, is_chosen_by_buffer, measured_mesh, points_or_polygons, sample_area_function
 from .meshes.panes import pane_rows
+from .meshes.points import Primitives, is_chosen_by_buffer, measured_mesh, points_or_polygons, sample_area_function
 from .out_of_focus import FocusSorter, OutOfFocusLayer
 from .point_sets import Layer, PointSet, cloud_points, largest_radius, point_counts, set_ball, typical_diameter
 from .separation import is_translucent
@@ -59,7 +59,9 @@ class Prepared(Layer):
     captured: tuple[int, ...] = ()  # instances of captured splats, those of one geometry together
     captured_nodes: dict[int, CapturedNodes] = field(default_factory=dict)  # by row of geometries
     out_of_focus: OutOfFocusLayer | None = None  # then all other primitives are those in focus
-    panes: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))  # (P,): instances drawn as layers of triangles
+    panes: np.ndarray = field(
+        default_factory=lambda: np.empty(0, np.int64)
+    )  # (P,): instances drawn as layers of triangles
     # If `translucent` also holds splats out of focus: by key of its sets, the covered fraction of each splat's ellipse.
     shares: dict[int, np.ndarray | float] = field(default_factory=dict)
 

@@ -164,9 +164,7 @@ class Panes:
             assert listed is not None
             self._run("gather", lambda: received.update(indirect.gather(view, surfaces, listed, entries)))
         groups = leaders.bound | self._groups.codes
-        self._run(
-            "shade", lambda: self._shading.shade_groups(view, surfaces, groups, self._buffer, target, received)
-        )
+        self._run("shade", lambda: self._shading.shade_groups(view, surfaces, groups, self._buffer, target, received))
 
     def _compose(self, view: SampleView, textures: dict[str, Texture], target: Target) -> None:
         program = compose_program(self._groups.places is not None)
@@ -194,9 +192,7 @@ class Panes:
                 neighbours=len(rows), **self._buffer.values,
             )  # fmt: skip
             bound = {"ps_change": other["ps_light"], "ps_members": self._members, "ps_weights": with_rows}
-            device.draw(
-                filter_program(lattice), self._sums, uniforms=record, textures=bound, vertices=6, blend=True
-            )
+            device.draw(filter_program(lattice), self._sums, uniforms=record, textures=bound, vertices=6, blend=True)
         finally:
             with_rows.release()
 

@@ -18,7 +18,6 @@ from ...passes.visibility.polygon_draw import Drawn
 from ...shadow.panes import pane_shares
 from ..visibility.placed import BLOCK, footprints_in_view
 
-
 STEP = 4  # texels between those at which functions are evaluated first
 CHANGE = 1 / 64  # of a share: between those that differ by less, it is interpolated
 MOST_BETWEEN = 1 << 16  # texels of a layer at which functions are evaluated beside: those where shares change most

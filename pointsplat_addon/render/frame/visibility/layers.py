@@ -56,8 +56,8 @@ class Visibility:
         part: tuple[int, int] = (0, 1),
         panes: Panes | None = None,
     ) -> None:
-        """`translucent`, `panes`: what is blended over the sub-samples. `run` times each pass. `indirect`: light that surfaces
-        receive from each other. `part`: which tiles are drawn, see tiles_of_part."""
+        """`translucent`, `panes`: what is blended over the sub-samples. `run` times each pass. `indirect`: light that
+        surfaces receive from each other. `part`: which tiles are drawn, see tiles_of_part."""
         self.tiles = tiles_of_part(targets.tiles, part)
         self._device, self._plan, self._passes, self._uploads = device, plan, passes, uploads
         self._targets, self._shading, self._translucent, self._run = targets, shading, translucent, run

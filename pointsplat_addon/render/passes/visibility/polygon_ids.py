@@ -45,7 +45,10 @@ from .small_triangles import LIST_SAMPLER, LISTED, group_fields, is_cut, triangl
 MOST_VERTICES = 1 << 26  # of one draw
 AVERAGE_DEFINE = ("PS_AVERAGE", "1")  # pictures are averaged over sub-samples
 ID_FIELDS: Fields = (("int", "first_id"),)  # number of the first triangle of the first instance
-FOLLOWING, OPAQUE = "ps_following", "ps_opaque_depths"  # of what is drawn layer by layer: from where on, and up to where
+FOLLOWING, OPAQUE = (
+    "ps_following",
+    "ps_opaque_depths",
+)  # of what is drawn layer by layer: from where on, and up to where
 MESH_FIELDS: Fields = (
     ("int", "material"),
     *ID_FIELDS,
@@ -367,7 +370,9 @@ class PolygonCover(PolygonDepths):
         self._compute("IDENTIFY", view, shared, {"ids": self._buffer.ids, "keys": self._buffer.keys})
 
     def _raster_program(self, draw: Drawn, group: Group, listed: bool) -> Interface:
-        return ids_program(self._normal, self._buffer.lattice, group, draw.one, listed, self._peeled, self._buffer.keyed)
+        return ids_program(
+            self._normal, self._buffer.lattice, group, draw.one, listed, self._peeled, self._buffer.keyed
+        )
 
     def _compute_program(self, draw: Drawn, group: Group, step: str) -> Interface:
         return triangle_program(self._buffer.lattice, group, draw.one, step, self._normal)

@@ -147,7 +147,9 @@ def arrange(
         if parts is not None:
             part = np.arange(first, end) if by_material is None else by_material[first:end]
             begins = 3 * (first + np.searchsorted(part // PART, np.arange(len(parts) + 1)))
-        made = Group(row, 3 * first, 3 * (end - first), bool(table.cull[row]) and not translucent, defines, graph, start=begins)
+        made = Group(
+            row, 3 * first, 3 * (end - first), bool(table.cull[row]) and not translucent, defines, graph, start=begins
+        )
         made.placed = at_places if row in placed else ()
         if chunked:
             made.chunks = _chunk_boxes(mesh, slice(first, end) if order is None else order[first:end]) - origin
