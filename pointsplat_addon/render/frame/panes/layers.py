@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ....core.numeric.record import record
 from ....core.scene.scene import Scene
 from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ...passes.gbuffer import GBuffer
@@ -42,7 +41,7 @@ MOST_LAYERS = 128
 Run = Callable[[str, Callable[[], None]], None]  # runs a pass, and times it under a name
 
 
-@record
+@dataclass(eq=False)
 class _Panes:
     """The panes of a view, for `polygon_draws`."""
 
