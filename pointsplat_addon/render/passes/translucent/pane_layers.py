@@ -33,7 +33,7 @@ def compose_program(places: bool) -> Interface:
     order of the pixels."""
     read = ("ps_light", "ps_hidden", "ps_starts", "ps_numbers", "ps_combined", "ps_through")
     return Interface(
-        "compose", fragment="translucent/pane_layer.frag", block=COMPOSE,
+        "compose", fragment="panes/layer.frag", block=COMPOSE,
         samplers=(*CODES, ("UINT_2D", "ps_depths"),
                   *(("FLOAT_2D", name) for name in (*read, *(("ps_places",) if places else ())))),
         outputs=(("vec4", "out_light"), ("vec4", "out_hidden"), ("uint", "out_following")), defines=_listed(places),
@@ -46,7 +46,7 @@ def change_program(behind: bool, places: bool) -> Interface:
     read = ("ps_light", "ps_hidden", "ps_starts", "ps_numbers", "ps_combined")
     read += (*(("ps_behind",) if behind else ()), *(("ps_places",) if places else ()))
     return Interface(
-        "change", fragment="translucent/pane_change.frag", block=COMPOSE,
+        "change", fragment="panes/change.frag", block=COMPOSE,
         samplers=(*CODES, *(("FLOAT_2D", name) for name in read)), outputs=(("vec4", "out_change"),),
         defines=(*_listed(places), *((("PS_BEHIND", "1"),) if behind else ())),
     )  # fmt: skip
@@ -56,7 +56,7 @@ def filter_program(lattice: Lattice) -> Interface:
     """Returns the program that adds the changes in the cells of pixels and of their neighbours to the sums, by the
     weights of the pixel filter."""
     return Interface(
-        "filter panes", vertex="common/rectangle.vert", fragment="translucent/pane_filter.frag", block=FILTER,
+        "filter panes", vertex="common/rectangle.vert", fragment="panes/filter.frag", block=FILTER,
         samplers=tuple(("FLOAT_2D", name) for name in ("ps_change", "ps_members", "ps_weights")),
         outputs=(("vec4", "out_combined"),), defines=(LATTICE_DEFINE,),
     )  # fmt: skip

@@ -1,5 +1,5 @@
 // What panes change in each cell: their light, less what they hide of what is opaque. ps_numbers, PS_PLACES: as in
-// pane_layer.frag. PS_BEHIND: what open sub-samples show.
+// layer.frag. PS_BEHIND: what open sub-samples show.
 
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/groups.glsl"

@@ -1,5 +1,5 @@
 // What panes change in the cells of a pixel and of its neighbours, by the weights of the pixel filter. Rows of ps_weights, texels
-// of ps_members: as in difference_cells.frag. u.corner: where in the picture the tile begins.
+// of ps_members: as in translucent/difference_cells.frag. u.corner: where in the picture the tile begins.
 
 #include "lib/visibility/lattice.glsl"
 
