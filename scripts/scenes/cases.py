@@ -38,7 +38,15 @@ from scripts.scenes.solid_cases import (
     waves,
     wide_balls,
 )
-from scripts.scenes.translucent_cases import in_fog, in_smoke, panes, smoke, tinted_panes, tinted_smoke
+from scripts.scenes.translucent_cases import (
+    in_fog,
+    in_smoke,
+    panes,
+    panes_of_functions,
+    smoke,
+    tinted_panes,
+    tinted_smoke,
+)
 
 CASES: dict[str, Callable[[], Case]] = {
     function.__name__: cache(function)
@@ -73,6 +81,7 @@ CASES: dict[str, Callable[[], Case]] = {
         smoke,
         tinted_smoke,
         panes,
+        panes_of_functions,
         tinted_panes,
         captured_alone,
         captured_among,

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.material.nodes import color_nodes, input_nodes
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import Fog, World
@@ -62,6 +64,15 @@ def panes() -> Case:
         camera((0.5, -4, 0.5)),
         Settings(technique="IMAGE_SPACE", shadow_resolution=64),
     )
+
+
+def panes_of_functions() -> Case:
+    """The panes, whose alpha changes along an axis, and of one the colour, too."""
+    plain = panes()
+    across, up = (color_nodes.Component(input_nodes.Coordinates("generated"), axis) for axis in (0, 2))
+    graphs = None, MaterialGraph(alpha=across, base_color=color_nodes.Color(across)), MaterialGraph(alpha=up)
+    table = replace(plain.scene.materials, graphs=graphs)
+    return replace(plain, scene=replace(plain.scene, materials=table))
 
 
 def tinted_panes() -> Case:

@@ -1,6 +1,7 @@
 // Which triangle each sub-sample shows. PS_DEPTH_ONLY: only how far away it is. PS_CUT: its alpha is not always 1.
-// PS_PANES: a light shines on panes: also which share of it passes. PS_BEHIND_LAYER: all up to the nearest one behind those of
-// ps_before. PS_PANES_COLORED: of each channel.
+// PS_PEELED: what does not lie before the least depth of a layer,
+// whose bits ps_following inverts. PS_BEFORE_OPAQUE: what lies before what is opaque.
+// PS_WITHOUT_KEYS: surfaces are not told apart.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/data/polygon.glsl"
@@ -10,9 +11,7 @@
 #include "lib/visibility/cut.glsl"
 #endif
 
-#define PS_NOWHERE 0xFFFFFFFFu
 #define PS_OF_CELL 0.5  // of a cell's side: shares of cells are covered at random, and edges in their centres are not
-#define PS_ROUNDING 8u  // units in the last place: a pane does not lie behind itself
 
 void main()
 {
@@ -33,46 +32,30 @@ void main()
 #endif
   float d = -v_position.z;
   out_depth = floatBitsToUint(max(d - u.near, 0.0));
-#ifdef PS_PANES
-#ifdef PS_PANES_COLORED
-  vec3 share = u.through.rgb;
-#else
-  float share = u.through;
-#endif
-#ifdef PS_BEHIND_LAYER
-  ivec2 texel = ivec2(gl_FragCoord.xy) + u.before;
-  uint before = texelFetch(ps_before, texel, 0).x;
-  if (before == PS_NOWHERE || out_depth <= before + PS_ROUNDING) {
+#ifdef PS_PEELED
+  if (out_depth < ~texelFetch(ps_following, ivec2(gl_FragCoord.xy), 0).x) {
     discard;
   }
-  uint through = texelFetch(ps_before, texel + ivec2(0, u.height), 0).x;
-#ifdef PS_PANES_COLORED
-  share *= uintBitsToFloat(uvec3(through, texelFetch(ps_before, texel + ivec2(0, 2 * u.height), 0).x,
-                                 texelFetch(ps_before, texel + ivec2(0, 3 * u.height), 0).x));
-#else
-  share *= uintBitsToFloat(through);
 #endif
-#endif
-#ifdef PS_PANES_COLORED
-  out_share = floatBitsToUint(share.r);
-  out_green = floatBitsToUint(share.g);
-  out_blue = floatBitsToUint(share.b);
-#else
-  out_share = floatBitsToUint(share);
-#endif
+#ifdef PS_BEFORE_OPAQUE
+  if (out_depth >= texelFetch(ps_opaque_depths, ivec2(gl_FragCoord.xy), 0).x) {
+    discard;
+  }
 #endif
 #ifndef PS_DEPTH_ONLY
+  out_id = PS_RASTERISED | v_id;
+#ifndef PS_WITHOUT_KEYS
   vec3 normal = vec3(0.0, 0.0, 1.0);
 #ifdef PS_NORMAL
   normal = gl_FrontFacing ? v_normal : -v_normal;  // as the triangle is shaded
 #endif
-  out_id = PS_RASTERISED | v_id;
 #ifdef PS_BLOCKS
   int material = int(v_about.z);
 #else
   int material = u.material;
 #endif
   out_key = ps_surface_key(int(v_about.x), material, normal);
+#endif
 #endif
   gl_FragDepth = ps_buffer_depth(d);
 }

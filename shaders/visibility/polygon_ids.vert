@@ -47,7 +47,7 @@ void main()
 #ifdef PS_CORNER_COLOR
   v_color = texelFetch(ps_corner_color, texel, 0);
 #endif
-#if defined(PS_CUT) || !defined(PS_DEPTH_ONLY)
+#if defined(PS_CUT) || !(defined(PS_DEPTH_ONLY) || defined(PS_WITHOUT_KEYS))
 #ifdef PS_ONE_INSTANCE
   int instance = u.instance;
 #else
@@ -67,7 +67,8 @@ void main()
   v_about = vec3(instance, ps_instance_row(slot, 3).z, block.w);
 #else
   v_id = uint(u.first_id) + uint(slot) * uint(u.triangles) + uint(corner_index) / 3u;
-#ifdef PS_ONE_INSTANCE
+#ifdef PS_WITHOUT_KEYS
+#elif defined(PS_ONE_INSTANCE)
   v_about = vec2(instance, u.mirrored);
 #else
   v_about = vec2(instance, ps_instance_row(slot, 3).z);

@@ -8,18 +8,27 @@ from dataclasses import replace
 import numpy as np
 
 from ..material.evaluation import Appearance
+from ..material.expression import walk
 from ..material.graph import MaterialGraph
+from ..material.nodes.color_nodes import Color, Combine, Component, Gray, Mix
+from ..material.nodes.input_nodes import Constant, Source
+from ..material.nodes.math_nodes import Mapping, Math
+from ..material.nodes.texture_nodes import ImageTexture
 from ..scene.materials import MaterialTable
 from ..scene.mesh import Mesh
 from .appearance import at_places
-from .samples import Samples, take_samples
+from .samples import Samples, material_ids, take_samples
 
-Look = dict[str, np.ndarray]  # attributes by their names in Appearance, (P, N, C)
+Look = dict[
+    str, np.ndarray
+]  # attributes by their names in Appearance, (P, N, C); THROUGH is T in three channels, alpha
+THROUGH = "through"
 # Places in a footprint, in its half-diameters; two on opposite sides, two more, and a place in each of 4 by 4 squares.
 FEW = np.array([[-0.75, -0.25], [0.75, 0.25]])
 MORE = np.array([[0.25, -0.75], [-0.25, 0.75]])
 MANY = np.stack(np.meshgrid(*2 * [np.arange(4)], indexing="ij"), axis=-1).reshape(-1, 2)
 MANY = (2 * (MANY + (MANY[:, ::-1] + 0.5) / 4) / 4) - 1  # of which no two lie in one row or column
+EVEN = frozenset(("ADD", "SUBTRACT", "MULTIPLY", "MULTIPLY_ADD", "DIVIDE"))  # operations of Math that do not jump
 CHANGE = 1 / 64  # of an attribute: places that differ by more are not enough
 
 
@@ -51,33 +60,74 @@ def _weights(a: np.ndarray, b: np.ndarray, way: np.ndarray) -> np.ndarray:
 
 
 def over_footprints(
-    mesh: Mesh, samples: Samples, graphs: dict[int, MaterialGraph], table: MaterialTable, scale: np.ndarray
-) -> Appearance:
-    """The appearance of a mesh, its mean over each sample's footprint; all but alpha. The mean of normals is the
-    shorter the more they turn. scale: (N,), see at_places."""
-    graphs = {row: replace(graph, alpha=None, transmission_color=None) for row, graph in graphs.items()}
+    mesh: Mesh,
+    samples: Samples,
+    graphs: dict[int, MaterialGraph],
+    table: MaterialTable,
+    scale: np.ndarray,
+    translucent: bool = False,
+) -> tuple[Appearance, np.ndarray | None]:
+    """Returns the appearance of a mesh without alpha, its mean over each sample's footprint, and where `translucent`
+    what passes, (N, 4) float32: the share of light of each channel, and alpha. What then shows counts by alpha. The
+    mean of normals is the shorter the more they turn. scale: (N,), see at_places."""
+    if not translucent:
+        graphs = {row: replace(graph, alpha=None, transmission_color=None) for row, graph in graphs.items()}
     seen, triangle = np.unique(samples.triangle, return_inverse=True)
     mesh = mesh.take(seen)
     samples = Samples(samples.method, triangle.reshape(-1).astype(np.int32), samples.barycentric, samples.ellipse)
 
     def at(rows: np.ndarray, places: np.ndarray, share: float) -> Look:
-        return _at(mesh, take_samples(samples, rows), graphs, table, scale[rows], places, share)
+        return _at(mesh, take_samples(samples, rows), graphs, table, scale[rows], places, share, translucent)
 
     look = at(np.arange(len(samples)), FEW, 0.6)
-    found = {name: values.mean(axis=0) for name, values in look.items()}
+    found = _means(look)
     # Two places do not tell how far normals turn.
     rows = np.arange(len(samples)) if "normal" in look else _uneven(look)
+    if translucent and all(map(_only_images, graphs.values())):
+        rows = rows[:0]
     if len(rows):
         again = at(rows, MORE, 0.5)
         four = {name: np.concatenate([values[:, rows], again[name]]) for name, values in look.items()}
         uneven = _uneven(four)
-        for name, values in four.items():
-            found[name][rows] = values.mean(axis=0)
+        for name, values in _means(four).items():
+            found[name][rows] = values
         if len(uneven):
             uneven = rows[uneven]
-            for name, values in at(uneven, MANY, 0.25).items():
-                found[name][uneven] = values.mean(axis=0)
-    return Appearance(**found)
+            for name, values in _means(at(uneven, MANY, 0.25)).items():
+                found[name][uneven] = values
+    through = found.pop(THROUGH, None)
+    return Appearance(**found), through
+
+
+def _only_images(graph: MaterialGraph) -> bool:
+    """Whether all that varies within a triangle comes evenly from images, which are filtered wherever they are read."""
+    even = ImageTexture, Source, Constant, Color, Component, Gray, Combine, Mix, Mapping, Math
+    nodes = list(walk(*graph.channels.values()))
+    jumps = any(isinstance(node, Math) and node.operation not in EVEN for node in nodes)
+    return graph.normal is None and not jumps and all(isinstance(node, even) for node in nodes)
+
+
+def through_at(
+    mesh: Mesh, samples: Samples, graphs: dict[int, MaterialGraph], table: MaterialTable, scale: np.ndarray
+) -> np.ndarray:
+    """Returns what passes in the middle of each sample's footprint, (N, 4) float32, as `over_footprints` has it, with
+    images filtered over it."""
+    graphs = {r: MaterialGraph(alpha=g.alpha, transmission_color=g.transmission_color) for r, g in graphs.items()}
+    graphs = {row: graph for row, graph in graphs.items() if graph.channels}
+    return _at(mesh, samples, graphs, table, scale, np.zeros((1, 2)), 1.0, True)[THROUGH][0]
+
+
+def _means(look: Look) -> Look:
+    """The means over places, (N, C), of what shows by alpha."""
+    through = look.get(THROUGH)
+    if through is None:
+        return {name: values.mean(axis=0) for name, values in look.items()}
+    weight = through[..., 3:] + np.float32(1e-6)
+    weight /= weight.sum(axis=0)
+    return {
+        name: values.mean(axis=0) if name in (THROUGH, "normal") else (weight * values).sum(axis=0)
+        for name, values in look.items()
+    }
 
 
 def _at(
@@ -88,8 +138,10 @@ def _at(
     scale: np.ndarray,
     places: np.ndarray,
     share: float,
+    translucent: bool,
 ) -> Look:
-    """The appearance at P places of each of N footprints. `share`: of a footprint, that each place stands for."""
+    """The appearance at P places of each of N footprints. `share`: of a footprint, that each place stands for.
+    `translucent`: with THROUGH."""
     assert samples.ellipse is not None
     moved = places[:, :1, None] * samples.ellipse[:, 0] + places[:, 1:, None] * samples.ellipse[:, 1]
     whole = Samples(
@@ -100,7 +152,21 @@ def _at(
     )
     look = at_places(mesh, whole, graphs, table, np.tile(scale, len(places)))
     named = {name: getattr(look, name) for name in ("color", "surface", "emission", "normal")}
+    if translucent:
+        named[THROUGH] = _through(look, material_ids(mesh, whole), table)
     return {n: a.reshape(len(places), len(samples), -1) for n, a in named.items() if a is not None}
+
+
+def _through(look: Appearance, rows: np.ndarray, table: MaterialTable) -> np.ndarray:
+    """What passes at samples of materials `rows` (N,), (N, 4) float32: see over_footprints."""
+    alpha = table.alpha[rows] if look.alpha is None else look.alpha
+    found = np.repeat(1 - alpha[:, None], 4, axis=1).astype(np.float32)
+    if look.transmission_color is not None:
+        found[:, :3] *= look.transmission_color
+    elif table.transmission_color is not None:
+        found[:, :3] *= table.transmission_color[rows]
+    found[:, 3] = alpha
+    return found
 
 
 def _uneven(look: Look) -> np.ndarray:

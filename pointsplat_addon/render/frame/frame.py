@@ -32,6 +32,7 @@ from .defocus import OutOfFocus, in_focus
 from .indirect.kept import kept_light
 from .indirect.light import GroupsInIndirectLight
 from .lens_samples import LensSamples
+from .panes.layers import Panes
 from .resources import FrameResources
 from .sample_positions import is_checkpoint, lattice_offsets, offsets
 from .shading import Shading
@@ -159,9 +160,13 @@ class Frame:
             over = self._own(TranslucentLayers(device, plan, self.lit.lit, targets, self.targets.combined_target, run))
         passes = self.frame_plan.request.passes
         indirect = self._indirect_light() if plan.indirect else None
-        part = self.frame_plan.request.part if self._in_parts else (0, 1)
+        part, panes = self.frame_plan.request.part if self._in_parts else (0, 1), None
+        if plan.panes:
+            panes = self._own(
+                Panes(device, plan, self.uploads, targets, self.shading, self.targets.combined_target, run, indirect)
+            )
         self.visibility = self._own(
-            Visibility(device, plan, passes, self.uploads, targets, self.shading, over, run, indirect, part)
+            Visibility(device, plan, passes, self.uploads, targets, self.shading, over, run, indirect, part, panes)
         )
 
     def _indirect_light(self) -> GroupsInIndirectLight | None:

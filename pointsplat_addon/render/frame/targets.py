@@ -46,7 +46,7 @@ class Targets:
             self.sum_target: Target = self._own(device.target(self.sums))
             # Translucent splats are drawn over the opaque picture of each sample, which is then added to the sums.
             self.shade_target: Target = self.sum_target
-        if plan.translucent is not None and not plan.defocus:
+        if (plan.translucent is not None or plan.panes) and not plan.defocus:
             self.combined_target: Target = self._own(device.target(self.sums[:1]))
         if plan.defocus:
             # The parts in focus are summed with their depth; at the end the picture is composed of them and the rest.
@@ -110,7 +110,7 @@ class Pool:
         key = (size, count, most_cells,
                plan.sub_samples, plan.filter_size, plan.central, plan.background, plan.points, plan.ewa, plan.polygons,
                plan.spheres, plan.lines, plan.variant, plan.options,
-               plan.painter and plan.data_variant, plan.defocus, plan.picture, plan.eye_dome,
+               plan.painter and plan.data_variant, plan.defocus, plan.panes, plan.picture, plan.eye_dome,
                averages.averaged(passes), plan.matte_light.lit,
                None if plan.translucent is None else
                (plan.translucent.opaque, plan.translucent.holdout, plan.translucent.centred, plan.coarse,

@@ -116,7 +116,7 @@ class FramePlan:
 
     def _triangles(self, primitives: tuple[str, ...] = ()) -> int:
         """The number of triangles of geometries whose setting is one of `primitives`; of all where none are named."""
-        prepared, instances = self.prepared, self.prepared.polygons.tolist()
+        prepared, instances = self.prepared, self.prepared.all_polygons.tolist()
         geometries = [self.scene.geometries[int(self.scene.instances.geometry[instance])] for instance in instances]
         return sum(
             count_triangles(geometry.mesh, prepared.parts.get(instance))
@@ -308,7 +308,7 @@ def _prepared(
 def _has_opaque(prepared: Prepared) -> bool:
     """Whether a view shows something opaque. What is translucent alone is blended in each sample."""
     splats = sum(layer.cut.splats for layer in (prepared, prepared.nodes, prepared.spheres))
-    return splats > 0 or len(prepared.polygons) > 0 or len(prepared.strands) > 0
+    return splats > 0 or len(prepared.all_polygons) > 0 or len(prepared.strands) > 0
 
 
 def _not_adaptive(request: Request, prepared: Prepared, plan: Plan, through_lens: bool) -> str:
@@ -336,7 +336,7 @@ def _shadows(
 ) -> tuple[Shadows | None, str]:
     """What casts the shadows of all lights on what is drawn; or None, and why."""
     layers = (prepared, prepared.translucent, prepared.spheres, prepared.nodes)
-    if not (any(layer.cut.splats for layer in layers) or len(prepared.polygons) or prepared.strands):
+    if not (any(layer.cut.splats for layer in layers) or len(prepared.all_polygons) or prepared.strands):
         return None, "nothing is drawn"
     before = time.perf_counter()
     found, unshadowed = make_shadows(

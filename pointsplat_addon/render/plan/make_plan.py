@@ -119,6 +119,7 @@ def make_plan(view: ViewToPlan) -> Plan:
         backdrop=not view.absences.blurred_world,
         picture=view.picture,
         shades=view.picture or bool(averaged(passes)),
+        panes=view.picture and len(view.prepared.panes) > 0,
     )
     return replace(plan, skipped=tuple(reasons(plan, passes, view.absences).items()))
 
@@ -129,7 +130,7 @@ def make_plan(view: ViewToPlan) -> Plan:
 def _kinds(view: ViewToPlan) -> _Kinds:
     prepared = view.prepared
     points = prepared.cut.splats > 0 or prepared.nodes.cut.splats > 0
-    polygons = len(prepared.polygons) > 0
+    polygons = len(prepared.all_polygons) > 0
     spheres, lines = prepared.spheres.cut.splats > 0, len(prepared.strands) > 0
     return _Kinds(points, polygons, spheres, lines, polygons or spheres or lines or (points and not view.painter))
 
@@ -198,7 +199,7 @@ def _attributes(view: ViewToPlan, kinds: _Kinds) -> _Attributes:
 
 def _graphs(scene: Scene, prepared: Prepared) -> list[MaterialGraph]:
     """The material graphs of the meshes that are drawn as polygons."""
-    rows = np.unique(scene.instances.geometry[prepared.polygons]) if len(prepared.polygons) else []
+    rows = np.unique(scene.instances.geometry[prepared.all_polygons])
     meshes = [scene.geometries[int(row)].mesh for row in rows]
     return [graph for mesh in meshes if mesh is not None for graph in graphs_of(mesh, scene.materials).values()]
 

@@ -47,6 +47,7 @@ class Plan:
     captured_light: tuple[tuple[int, CapturedLighting], ...] = ()
     matte_light: CapturedLighting = UNLIT  # what light does to mattes, where there are some
     indirect: bool = False  # surfaces receive light from each other, and hide the world
+    panes: bool = False  # translucent meshes are layers of triangles, over what is opaque
     defocus: bool = False  # translucent splats are drawn together with what is out of focus: passes/defocus/gather.py
 
     @property

@@ -50,6 +50,7 @@ PASSES: dict[str, str] = {
     "translucent": "splats blended back to front",
     "enlarge": "a coarse translucent picture to the size of the fine one",
     "difference": "what translucent splats change in a layer, by the pixel filter",
+    "compose": "layers of translucent triangles, front to back",
     "captured depth": "where captured splats have hidden half of the light behind them",
     "add": "a sample with what is translucent to the sums",
     "eye dome": "pixels darkened by what lies in front of their neighbours",
@@ -121,6 +122,8 @@ def reasons(plan: Plan, passes: frozenset[str], absences: Absences) -> dict[str,
         found["shade"] = "points are painted" if plan.painter else "nothing opaque is drawn"
     if plan.translucent is None or not plan.translucent.depth:
         found["captured depth"] = "nothing is a captured splat whose depth is asked for"
+    if not plan.panes:
+        found["compose"] = "no translucent mesh is drawn as triangles"
     if not plan.matte_light.lit:
         found["mattes"] = "no mesh stands for captured surfaces"
     if not plan.backdrop:
@@ -187,7 +190,8 @@ def _of_points(plan: Plan, none: str) -> dict[str, str]:
 def _of_translucent(plan: Plan, shadowed: bool, none: str) -> dict[str, str]:
     """Why translucent passes are left out. `shadowed`: a light casts shadows. `none`: why nothing is."""
     if plan.translucent is None:
-        return dict.fromkeys(TRANSLUCENT, none)
+        drawn = [name for name in TRANSLUCENT if not (plan.panes and name == "add")]
+        return dict.fromkeys(drawn, "translucent meshes are drawn as triangles" if plan.panes else none)
     if plan.defocus:
         drawn = (name for name in TRANSLUCENT if name != "light")
         return dict.fromkeys(drawn, "the pass defocus draws what is translucent")

@@ -44,7 +44,7 @@ def without_invisible_layers(
             gone[name] = OUT_OF_VIEW
         elif name == "translucent" and all(_is_clear(points, store) for points in layer.point_sets.values()):
             gone[name] = CLEAR
-    if sharp and len(prepared.polygons) and not _any_visible(polygon_balls(scene, prepared, store), camera):
+    if sharp and len(prepared.all_polygons) and not _any_visible(polygon_balls(scene, prepared, store), camera):
         gone["polygons"] = OUT_OF_VIEW
     return (_without_layers(prepared, gone), gone) if gone else (prepared, gone)
 
@@ -57,13 +57,13 @@ def layer_balls(layer: Layer, view_from_object: np.ndarray, store: Store) -> Ite
 
 
 def polygon_balls(scene: Scene, prepared: Prepared, store: Store) -> Iterator[Ball]:
-    """Yields a ball for each mesh of which instances are drawn as polygons."""
-    geometry = scene.instances.geometry[prepared.polygons]
+    """Yields a ball for each mesh of which instances are drawn as polygons or panes."""
+    geometry = scene.instances.geometry[prepared.all_polygons]
     for row in np.unique(geometry).tolist():
         mesh = scene.geometries[row].mesh
         if mesh is not None:
             middle, reach = mesh_ball(mesh, store)
-            yield prepared.view_from_object[prepared.polygons[geometry == row]], middle, reach
+            yield prepared.view_from_object[prepared.all_polygons[geometry == row]], middle, reach
 
 
 def ball_of_all_drawn(scene: Scene, prepared: Prepared, store: Store) -> tuple[np.ndarray, float]:
@@ -107,7 +107,7 @@ def _without_layers(prepared: Prepared, gone: dict[str, str]) -> Prepared:
     empty = Layer({}, none, nothing)
     more = {name: empty for name in ("translucent", "spheres") if name in gone}
     if "polygons" in gone:
-        more |= {"polygons": np.empty(0, np.int64), "parts": {}}
+        more |= {"polygons": np.empty(0, np.int64), "panes": np.empty(0, np.int64), "parts": {}}
     if "points" in gone:
         more |= {"point_sets": {}, "set_of_instance": none, "cut": nothing, "largest": 0.0}
     return replace(prepared, **more)

@@ -141,7 +141,9 @@ def _used_materials(scene: Scene, prepared: Prepared, store: Store) -> tuple[set
         if (color := cloud.color) is not None:
             albedo = max(albedo, store.lookup(Key(Kind.BRIGHTEST_COLOR, points.key), lambda c=color: _brightest(c)))
         smooth |= cloud.surface is not None
-    for row in np.unique(scene.instances.geometry[prepared.polygons]).tolist() if len(prepared.polygons) else ():
+    for row in (
+        np.unique(scene.instances.geometry[prepared.all_polygons]).tolist() if len(prepared.all_polygons) else ()
+    ):
         mesh = scene.geometries[row].mesh
         if mesh is None:
             continue
@@ -195,6 +197,6 @@ def _emission_varies(scene: Scene, prepared: Prepared) -> bool:
         or prepared.strands
     ):
         return True
-    meshes = [scene.geometries[int(row)].mesh for row in np.unique(scene.instances.geometry[prepared.polygons])]
+    meshes = [scene.geometries[int(row)].mesh for row in np.unique(scene.instances.geometry[prepared.all_polygons])]
     graphs = [g for mesh in meshes if mesh is not None for g in graphs_of(mesh, scene.materials).values()]
     return any("emission" in graph.channels for graph in graphs)

@@ -31,6 +31,7 @@ from .hierarchies import ball_tree_if_it_pays, with_hierarchy_for_defocus, with_
 from .layers import cut_layer, with_ball_nodes, with_page_nodes
 from .meshes.far import far_nodes
 from .meshes.hybrid import InstanceChoice, choose_parts, primitives_by_part
+from .meshes.panes import pane_rows
 from .meshes.points import Primitives, is_chosen_by_buffer, measured_mesh, points_or_polygons, sample_area_function
 from .out_of_focus import FocusSorter, OutOfFocusLayer
 from .point_sets import Layer, PointSet, cloud_points, largest_radius, point_counts, set_ball, typical_diameter
@@ -58,8 +59,16 @@ class Prepared(Layer):
     captured: tuple[int, ...] = ()  # instances of captured splats, those of one geometry together
     captured_nodes: dict[int, CapturedNodes] = field(default_factory=dict)  # by row of geometries
     out_of_focus: OutOfFocusLayer | None = None  # then all other primitives are those in focus
+    panes: np.ndarray = field(
+        default_factory=lambda: np.empty(0, np.int64)
+    )  # (P,): instances drawn as layers of triangles
     # If `translucent` also holds splats out of focus: by key of its sets, the covered fraction of each splat's ellipse.
     shares: dict[int, np.ndarray | float] = field(default_factory=dict)
+
+    @property
+    def all_polygons(self) -> np.ndarray:
+        """(P,) int64: instances that are drawn as triangles, opaque or not."""
+        return np.concatenate([self.polygons, self.panes]) if len(self.panes) else self.polygons
 
 
 def prepare(
@@ -129,6 +138,7 @@ def prepare(
         strands,
         captured=captured,
         captured_nodes=captured_nodes(view, captured, view_from_object),
+        panes=drawn.panes,
         out_of_focus=_out_of_focus(focus, behind),
     )
 
@@ -149,6 +159,7 @@ class _DrawnPrimitives:
     translucent: _LayerPoints
     spheres: _LayerPoints
     polygons: np.ndarray  # (P,) int64: instances
+    panes: np.ndarray  # (P,) int64: instances
     # By instance, the parts that are polygons; absent: all.
     parts: dict[int, np.ndarray] = field(default_factory=dict)
     # By instance, first and count of the points that are drawn; absent: all.
@@ -166,10 +177,12 @@ def _drawn_primitives(
     by_buffer = view.settings.technique == "VISIBILITY"  # which draws balls of all sizes
     opaque, translucent, spheres = (_LayerPoints(np.full(len(instances), -1)) for _ in range(3))
     polygons = [np.empty(0, np.int64)]
-    drawn = _DrawnPrimitives(opaque, translucent, spheres, polygons[0])
     of_each = instances.of_each(len(scene.geometries), usable)
+    panes = pane_rows(view, of_each)
+    of_panes = [of_each[row] for row in panes]
+    drawn = _DrawnPrimitives(opaque, translucent, spheres, polygons[0], np.concatenate([polygons[0], *of_panes]))
     for row, (geometry, where) in enumerate(zip(scene.geometries, of_each, strict=True)):
-        if len(where) == 0 or geometry.strands is not None:
+        if len(where) == 0 or geometry.strands is not None or row in panes:
             continue
         view.check()
         found = _primitives(view, geometry, view_from_object[where], divided.get(row))

@@ -1,9 +1,9 @@
-"""Panes: what lets through the same light everywhere, as glass does, in layers of depth maps seen from lights.
+"""Panes: meshes that light passes through, in layers of depth maps seen from lights.
 
 Each layer holds for every texel the nearest pane behind that of the layer before, by depth peeling (Everitt 2001), and
 the share of light that it and all panes before it let through, of each channel where some are coloured: as sharp as the
 shadows of what is opaque, and without samples. Where more panes lie behind each other than there are layers, tables
-hold what casts. Lights with a size look at faces instead (pane_faces.py).
+hold what casts. Lights with a size look at faces instead (pane_faces.py), of what lets through the same everywhere.
 """
 
 from __future__ import annotations
@@ -69,16 +69,16 @@ class PaneMaps:
         return found
 
 
-def casts_as_pane(scene: Scene, caster: CastingGeometry) -> bool:
+def casts_as_pane(scene: Scene, caster: CastingGeometry, varying: bool = False) -> bool:
     """Tells whether maps of panes may show a caster: a mesh of materials that each let the same light through
-    everywhere."""
+    everywhere, or `varying` shares of it."""
     geometry, mesh = caster.geometry, caster.geometry.mesh
     if mesh is None or not is_translucent(geometry, scene.materials):
         return False
     graphs = graphs_of(mesh, scene.materials)
     constant = not any(graph.channels.keys() & {"alpha", "transmission_color"} for graph in graphs.values())
     few = len(mesh.triangles) * len(caster.matrices) <= MOST_TRIANGLES
-    return constant and few and bool(all_finite(caster.matrices.astype(np.float32)).all())
+    return (constant or varying) and few and bool(all_finite(caster.matrices.astype(np.float32)).all())
 
 
 def pane_shares(materials: MaterialTable) -> np.ndarray:

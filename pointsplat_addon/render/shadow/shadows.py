@@ -113,19 +113,22 @@ def make_shadows(
     drawn = [one or other for one, other in zip(solid, fibres, strict=True)]
     shown = [caster for caster, one, floor in zip(casters, drawn, floors, strict=True) if one and not floor]
     maps = make_maps(scene, lights, shown, settings.shadow_resolution, store, texture_size)
-    clear = [casts_as_pane(scene, caster) for caster in casters]
+    clear, even = ([casts_as_pane(scene, caster, varying) for caster in casters] for varying in (True, False))
     shown = [caster for caster, one, floor in zip(casters, clear, floors, strict=True) if one and not floor]
     panes = make_panes(scene, lights, shown, settings.shadow_resolution, store, texture_size)
+    shown = [caster for caster, one, floor in zip(casters, even, floors, strict=True) if one and not floor]
     faces = make_faces(scene, lights, shown, store)
     build = _TableBuilder(scene, settings.shadow_resolution, store, on_disk, check)
     everything = _Cast(casters, floors)
     unmapped = [light for light in lights if light.shadow and not takes_map(light)]
     mapped = [light for light in lights if light.shadow and takes_map(light)]
-    exact = [(panes is not None and takes_panes(one)) or (faces is not None and takes_faces(one)) for one in mapped]
-    looking = [light for light, one in zip(mapped, exact, strict=True) if one]
-    others = [light for light, one in zip(mapped, exact, strict=True) if not one]
-    neither = [one or other for one, other in zip(drawn, clear, strict=True)]
-    wanted = [(unmapped, everything), (others, everything.without(drawn)), (looking, everything.without(neither))]
+    through_maps = [one for one in mapped if panes is not None and takes_panes(one)]
+    through_faces = [one for one in mapped if faces is not None and takes_faces(one)]
+    others = [one for one in mapped if one not in through_maps and one not in through_faces]
+    wanted = [(unmapped, everything), (others, everything.without(drawn))]
+    for looking, shown_there in ((through_maps, clear), (through_faces, even)):
+        neither = [one or other for one, other in zip(drawn, shown_there, strict=True)]
+        wanted.append((looking, everything.without(neither)))
     tables = build.tables(lights, wanted)
     if tables is None and maps is None and panes is None and faces is None:
         return None, "there is nothing in the shadow of anything"

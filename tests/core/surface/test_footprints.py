@@ -29,7 +29,7 @@ def over(graph: MaterialGraph, mesh: Mesh, position: np.ndarray, across, along) 
     count = len(position)
     ways = (np.broadcast_to(way, (count, 3)) for way in (across, along))
     samples = footprints(mesh, np.zeros(count, np.int64), position, *ways)
-    color = over_footprints(mesh, samples, {0: graph}, default_materials(), np.ones(count, np.float32)).color
+    color = over_footprints(mesh, samples, {0: graph}, default_materials(), np.ones(count, np.float32))[0].color
     assert color is not None
     return color[:, 0]
 
@@ -62,7 +62,7 @@ def test_normals_that_turn_have_a_shorter_mean():
     graph = MaterialGraph(normal=color_nodes.Combine(sine, ZERO, cosine))
     ways = np.array([[angle, 0, 0]]), np.array([[0, angle, 0]])
     samples = footprints(triangle(), np.zeros(1, np.int64), np.array([[0, 0, 0.5]]), *ways)
-    normal = over_footprints(triangle(), samples, {0: graph}, default_materials(), np.ones(1, np.float32)).normal
+    normal = over_footprints(triangle(), samples, {0: graph}, default_materials(), np.ones(1, np.float32))[0].normal
     assert normal is not None
     truth = np.sin(angle) / angle
     assert abs(normal[0, 2] - truth) < 0.002  # measured: 0.0012

@@ -97,10 +97,10 @@ EXPECTED = {
     "visibility buffer, small balls": "cover data background " + GROUPED,
     "visibility buffer, wide balls among polygons": "cover polygons background " + GROUPED,
     "visibility buffer, all passes": "cover polygons data background " + GROUPED,
-    "visibility buffer, panes and a cube": "shadow+maps order reach polygons background " + GROUPED + LAYERS,
-    "visibility buffer, coloured panes, shadows of a wide light, too": "shadow+maps order reach polygons background "
-    + GROUPED
-    + LAYERS,
+    "visibility buffer, panes and a cube": "shadow+maps polygons background compose add " + GROUPED,
+    "visibility buffer, panes with functions": "shadow+maps polygons background compose add " + GROUPED,
+    "visibility buffer, coloured panes, shadows of a wide light, too": "shadow+maps polygons background compose add "
+    + GROUPED,
     "visibility buffer, coloured smoke, shadows": "shadows order reach polygons background " + GROUPED + LAYERS,
     "visibility buffer, smoke and a cube, interactive": "order polygons background enlarge " + GROUPED + LAYERS,
     "visibility buffer, a cube in held out smoke": "order polygons background " + GROUPED + LAYERS,

@@ -137,7 +137,7 @@ def test_tables_hold_what_is_no_pane():
     varies = table(graphs=(None, None, graph, None))
     for drawn in (
         case(*stack, light=sun),
-        case(stack[0], light=sun, materials=varies),
+        case(stack[0], light=replace(sun, radius=0.1), materials=varies),
         case(*(pane((0, 0, 2 + 0.1 * i), 2) for i in range(MOST_FACES + 1)), light=replace(sun, radius=0.1)),
     ):
         found = found_shadows(drawn)

@@ -91,16 +91,20 @@ def test_a_fog_behind_edges_shows_beside_them_alone():
     assert whole[cut > 1 - 1e-6][:, 0].max() < 1e-6
 
 
-@pytest.mark.parametrize(
-    ("name", "worst"),
-    [("panes", 2e-3), ("tinted_smoke", 2e-4)],  # measured 1.3e-3, where 16 samples in image space have 1.5e-3; 4e-5
-)
-def test_pictures_agree_with_those_of_many_samples(name, worst):
-    case = cases.CASES[name]()
+def test_smoke_agrees_with_that_of_many_samples():
+    case = cases.CASES["tinted_smoke"]()
     eye = replace(case.camera, resolution=(160, 120))
     found, truth = picture(case.scene, eye), picture(case.scene, eye, 65, "IMAGE_SPACE")
     inner = (found - truth)[:, 1:-1]  # the plane behind the smoke ends with the picture
-    assert np.sqrt(np.square(inner).mean()) < worst
+    assert np.sqrt(np.square(inner).mean()) < 2e-4  # measured 4e-5
+
+
+@pytest.mark.parametrize(("name", "worst"), [("panes", 1e-3), ("panes_of_functions", 1e-3)])  # measured 4.7e-4
+def test_panes_agree_with_those_of_many_sub_samples(name, worst):
+    """Splats of them, of 65 samples, are off by 0.0037: their outlines are soft."""
+    case = cases.CASES[name]()
+    eye = replace(case.camera, resolution=(160, 120))
+    assert np.sqrt(np.square(picture(case.scene, eye) - picture(case.scene, eye, 272)).mean()) < worst
 
 
 def test_a_holdout_of_fog_takes_of_edges_what_it_hides():
@@ -119,8 +123,9 @@ def variation(image, reach):
     return np.ptp([padded[y : y + height, x : x + width] for y in moves for x in moves], axis=0).max(axis=2)
 
 
-@pytest.mark.parametrize("samples", [5, 40])
-def test_tiles_of_a_picture_meet_without_seams(monkeypatch, samples):
+# Measured 0.0254, of 2 pixels of which one sub-sample of five is rounded to the glass or not, and 0.0040.
+@pytest.mark.parametrize(("samples", "worst"), [(5, 0.03), (40, 0.01)])
+def test_tiles_of_a_picture_meet_without_seams(monkeypatch, samples, worst):
     """Sub-samples on the common edge of two triangles are rounded to either of them, by their places in a tile: here of
     a white one and one of glass. A seam would show elsewhere."""
     scene = cases.CASES["panes"]().scene
@@ -134,7 +139,8 @@ def test_tiles_of_a_picture_meet_without_seams(monkeypatch, samples):
     smooth = variation(whole, 1) < 1e-3
     assert smooth.mean() > 0.75  # measured 0.79
     assert difference[smooth].max() < 1e-5  # measured 8.1e-7
-    assert difference.max() < 0.01  # measured 1.4e-4 and 0.0022
+    assert difference.max() < worst
+    assert (difference > 0.005).sum() <= 2  # measured 2 and 0
 
 
 def test_the_first_picture_of_a_view_that_moves_is_near_the_others():

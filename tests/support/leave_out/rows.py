@@ -174,6 +174,9 @@ ROWS: dict[str, Row] = {
     "visibility buffer, panes and a cube": Row(
         lambda: with_settings(translucent_cases.panes(), technique="VISIBILITY")
     ),
+    "visibility buffer, panes with functions": Row(
+        lambda: with_settings(translucent_cases.panes_of_functions(), technique="VISIBILITY")
+    ),
     "visibility buffer, coloured panes, shadows of a wide light, too": Row(
         lambda: with_settings(translucent_cases.tinted_panes(), technique="VISIBILITY")
     ),

@@ -63,7 +63,7 @@ class PolygonUploads:
         self.pages: list[PageInScene] = []  # of meshes that are in none of `meshes`
         if not plan.polygons:
             return
-        rows = np.unique(scene.instances.geometry[prepared.polygons])
+        rows = np.unique(scene.instances.geometry[prepared.all_polygons])
         if plan.sub_samples > 0:
             rows = self._add_pages(rows, page_members(whole_scene or scene))
         for row in rows.tolist():
@@ -117,12 +117,15 @@ class PolygonUploads:
         parts, whole = None, plan.sub_samples > 0  # the visibility buffer draws whole meshes
         if geometry.primitive == "AUTO" and not whole:
             parts = self._store.lookup(Key(Kind.PARTS, geometry.key), lambda: make_parts(mesh))
+        translucent = passing(mesh, scene.materials) is not None
         more = (plan.variant, constants_key(scene), scene.materials.cull.tobytes(), parts is not None, whole)
         key = Key(Kind.POLYGON_MESH, geometry.key, digest(mesh, scene.materials), other=more)
 
         def make(mesh: Mesh = mesh, parts: Parts | None = parts) -> PolygonMesh:
             order = parts.order if parts is not None else coherent_order(mesh) if whole else None
-            return PolygonMesh(self._scope.device, mesh, scene.materials, plan.variant, parts, order, whole)
+            return PolygonMesh(
+                self._scope.device, mesh, scene.materials, plan.variant, parts, order, whole, translucent
+            )
 
         found: PolygonMesh = self._scope.lookup(key, make)
         here = self._prepared.polygons[scene.instances.geometry[self._prepared.polygons] == row]

@@ -23,6 +23,7 @@ from ...passes.visibility.polygon_ids import PolygonCover
 from ...passes.visibility.splat_ids import SplatCover
 from ...plan.plan import Plan
 from ..indirect.light import GroupsInIndirectLight
+from ..panes.layers import Panes
 from ..shading import Shading
 from ..uploads.uploads import Uploads
 from .identities import identities
@@ -53,13 +54,14 @@ class Visibility:
         run: Run,
         indirect: GroupsInIndirectLight | None = None,
         part: tuple[int, int] = (0, 1),
+        panes: Panes | None = None,
     ) -> None:
-        """`translucent`: what is blended over the sub-samples. `run` times each pass. `indirect`: light that surfaces
-        receive from each other. `part`: which tiles are drawn, see tiles_of_part."""
+        """`translucent`, `panes`: what is blended over the sub-samples. `run` times each pass. `indirect`: light that
+        surfaces receive from each other. `part`: which tiles are drawn, see tiles_of_part."""
         self.tiles = tiles_of_part(targets.tiles, part)
         self._device, self._plan, self._passes, self._uploads = device, plan, passes, uploads
         self._targets, self._shading, self._translucent, self._run = targets, shading, translucent, run
-        self._indirect = indirect
+        self._indirect, self._panes = indirect, panes
         self._polygons: PolygonCover | None = None
         self._strands: StrandCover | None = None
         self._splats: SplatCover | None = None
@@ -92,6 +94,8 @@ class Visibility:
                 shaded = self._shade(seen, tile, sums)
                 if self._translucent is not None:
                     self._translucent.draw(seen, tile, shaded, self.weights(seen), coarse)
+                if self._panes is not None:
+                    self._panes.draw(seen, tile, shaded, self.weights(seen))
             if central:
                 self._draw_central(seen, tile)
             if identify:

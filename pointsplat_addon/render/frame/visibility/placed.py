@@ -25,7 +25,8 @@ from ...passes.grouping.groups import Groups, Leaders
 from ...passes.uniforms import SampleView
 from ...passes.visibility.buffer import RASTERISED
 from ...passes.visibility.polygon_draw import Drawn
-from ...passes.visibility.polygon_mesh import PLACED
+from ...passes.visibility.polygon_mesh import PLACED, THROUGH
+from ...shadow.panes import pane_shares
 
 BLOCK = 1 << 14  # groups: the scratch of one block stays in the cache
 GRAZING = 1e-2  # cosine: footprints of surfaces that are seen at a lower angle are as long as at this one
@@ -40,10 +41,12 @@ def placed_textures(
     lattice: Lattice,
     groups: Groups,
     leaders: Leaders,
+    translucent: bool = False,
 ) -> dict[str, Texture]:
     """Returns what graphs are at the places that stand for groups, in textures as long as the list of these, by sampler
-    name; those of PLACED that are needed. The caller releases them."""
-    shown = [draw for draw in draws if any(group.placed for group in draw.groups)]
+    name; those of PLACED that are needed. `translucent`: also THROUGH, of which the first three channels are the share
+    of light that passes, and the fourth is alpha. The caller releases them."""
+    shown = [draw for draw in draws if translucent or any(group.placed for group in draw.groups)]
     if not shown:
         return {}
     ids, depths, members = (device.read(texture).reshape(-1) for texture in leaders.textures.values())
@@ -51,9 +54,11 @@ def placed_textures(
     number = (ids[:count] & ~np.uint32(RASTERISED)).astype(np.int64)
     number[ids[:count] == EMPTY] = -1
     names = {name for draw in shown for group in draw.groups for name in group.placed}
-    names = sorted(name for name in names if getattr(variant, name.removeprefix("ps_placed_")))
+    names = sorted(name for name in names & PLACED.keys() if getattr(variant, name.removeprefix("ps_placed_")))
     texels = leaders.size[0] * leaders.size[1]
-    found = {name: np.zeros((texels, CHANNELS[PLACED[name]]), np.float32) for name in names}
+    formats = {name: PLACED[name] for name in names} | ({THROUGH: "RGBA32F"} if translucent else {})
+    found = {name: np.zeros((texels, CHANNELS[format]), np.float32) for name, format in formats.items()}
+    constants = pane_shares(scene.materials)
     width = leaders.size[0] if leaders.central else view.size[0]
 
     def evaluate(draw: Drawn, mesh: Mesh, places: tuple[np.ndarray, ...], block: slice) -> None:
@@ -67,10 +72,10 @@ def placed_textures(
         row, column = np.divmod(pixel, width)
         where = np.stack([column, row], axis=1) + 0.5 + lattice.positions[members[here]]
         depth = depths[here].view(np.float32).astype(np.float64) + view.near
-        samples, scale = _footprints(view, where, depth, mesh, triangle, draw.object_from_view, slot)
-        look = over_footprints(mesh, samples, graphs, scene.materials, scale)
+        samples, scale = footprints_in_view(view, where, depth, mesh, triangle, draw.object_from_view, slot)
+        look, through = over_footprints(mesh, samples, graphs, scene.materials, scale, translucent)
         for name, out in found.items():
-            values = getattr(look, name.removeprefix("ps_placed_"))
+            values = through if name == THROUGH else getattr(look, name.removeprefix("ps_placed_"))
             if values is None:
                 continue
             if name == "ps_placed_normal":
@@ -82,6 +87,12 @@ def placed_textures(
 
     for draw in shown:
         mine = np.flatnonzero((number >= draw.first_id) & (number < draw.first_id + draw.triangles))
+        if translucent:
+            material = draw.identify(number[mine] - draw.first_id)[:, 1]
+            alpha = scene.materials.alpha[material]
+            found[THROUGH][mine] = np.column_stack([np.broadcast_to(constants[material], (len(mine), 3)), alpha])
+            if not any(group.placed for group in draw.groups):
+                continue
         slot, triangle = draw.locate(number[mine] - draw.first_id)
         geometry = scene.instances.geometry[draw.instance][slot]
         for row in np.unique(geometry).tolist():
@@ -93,10 +104,10 @@ def placed_textures(
                 own = own[np.isin(mesh.material[triangle[own]], materials)]
             places = slot[own], triangle[own], mine[own]
             each_block(len(own), partial(evaluate, draw, mesh, places), BLOCK)
-    return {name: device.texture(leaders.size, PLACED[name], values.reshape(-1)) for name, values in found.items()}
+    return {name: device.texture(leaders.size, formats[name], values.reshape(-1)) for name, values in found.items()}
 
 
-def _footprints(
+def footprints_in_view(
     view: SampleView,
     where: np.ndarray,
     depth: np.ndarray,

@@ -51,22 +51,34 @@ class VisibilityTargets:
         if plan.translucent is not None and not plan.defocus:
             self.translucent = self._own(LayerTargets(device, plan, of_tile))
         self._lists: _Lists | None = None
+        self._lists_of_panes: _Lists | None = None
 
     def lists(self, size: tuple[int, int]) -> _Lists:
         """Returns the attributes and the shading of groups, for a list of this size; those of before where they fit."""
-        if self._lists is None or self._lists.size != size:
-            if self._lists is not None:
-                self._lists.release()
-            self._lists = _Lists(self._device, self._plan, self._names, size)
+        self._lists = self._fitting(self._lists, size)
         return self._lists
+
+    def lists_of_panes(self, size: tuple[int, int]) -> _Lists:
+        """Returns the same for a layer of panes."""
+        self._lists_of_panes = self._fitting(self._lists_of_panes, size)
+        return self._lists_of_panes
+
+    def _fitting(self, lists: _Lists | None, size: tuple[int, int]) -> _Lists:
+        """Returns lists of this size: those of before if they fit, which are released otherwise."""
+        if lists is not None and lists.size == size:
+            return lists
+        if lists is not None:
+            lists.release()
+        return _Lists(self._device, self._plan, self._names, size)
 
     def _own(self, item: Any) -> Any:
         self._owned.append(item)
         return item
 
     def release(self) -> None:
-        if self._lists is not None:
-            self._lists.release()
+        for lists in (self._lists, self._lists_of_panes):
+            if lists is not None:
+                lists.release()
         for item in reversed(self._owned):
             item.release()
 

@@ -91,12 +91,29 @@ class DepthBuffer:
             item.release()
 
 
-class VisibilityBuffer(DepthBuffer):
-    """The nearest primitive of each sub-sample of a picture."""
+class IdBuffer(DepthBuffer):
+    """Two of the three textures: which primitive is nearest, and its depth."""
+
+    keyed = False  # surfaces are told apart
 
     def _colors(self) -> list[Texture]:
-        self.ids, self.keys = (self._device.texture(self.cells, "R32UI") for _ in range(2))
-        return [self.ids, self.depths, self.keys]
+        self.ids = self._device.texture(self.cells, "R32UI")
+        return [self.ids, self.depths]
+
+    @property
+    def textures(self) -> dict[str, Texture]:
+        """The textures by sampler name."""
+        return {"ps_ids": self.ids, "ps_depths": self.depths}
+
+
+class VisibilityBuffer(IdBuffer):
+    """The nearest primitive of each sub-sample of a picture."""
+
+    keyed = True
+
+    def _colors(self) -> list[Texture]:
+        self.keys = self._device.texture(self.cells, "R32UI")
+        return [*super()._colors(), self.keys]
 
     def cell_offset(self, corner: tuple[int, int]) -> tuple[int, int]:
         """Returns what takes cells to those of a picture of which this one is a part, the same for all parts: (columns,
@@ -107,7 +124,7 @@ class VisibilityBuffer(DepthBuffer):
     @property
     def textures(self) -> dict[str, Texture]:
         """The textures by sampler name."""
-        return {"ps_ids": self.ids, "ps_depths": self.depths, "ps_keys": self.keys}
+        return {**super().textures, "ps_keys": self.keys}
 
     def read(self) -> np.ndarray:
         """Reads the number of the primitive of each sub-sample of each pixel, (H, W, S) uint32; EMPTY: none."""

@@ -30,6 +30,7 @@ from .buffer import (
     LATTICE_FIELDS,
     OUTPUTS,
     DepthBuffer,
+    IdBuffer,
     VisibilityBuffer,
     member_defines,
     offset_defines,
@@ -44,6 +45,10 @@ from .small_triangles import LIST_SAMPLER, LISTED, group_fields, is_cut, triangl
 MOST_VERTICES = 1 << 26  # of one draw
 AVERAGE_DEFINE = ("PS_AVERAGE", "1")  # pictures are averaged over sub-samples
 ID_FIELDS: Fields = (("int", "first_id"),)  # number of the first triangle of the first instance
+FOLLOWING, OPAQUE = (
+    "ps_following",
+    "ps_opaque_depths",
+)  # of what is drawn layer by layer: from where on, and up to where
 MESH_FIELDS: Fields = (
     ("int", "material"),
     *ID_FIELDS,
@@ -63,19 +68,35 @@ def depths_program(lattice: Lattice, group: Group, one: bool, listed: bool = Fal
     return _cover_program(lattice, replace(group, cull=False), one, (), listed)
 
 
-def ids_program(normal: bool, lattice: Lattice, group: Group, one: bool, listed: bool = False) -> Interface:
+def ids_program(
+    normal: bool,
+    lattice: Lattice,
+    group: Group,
+    one: bool,
+    listed: bool = False,
+    peeled: tuple[str, ...] = (),
+    keyed: bool = True,
+) -> Interface:
     """Returns the program that draws a group of triangles into the visibility buffer.
 
     `normal`: something is lit, and normals tell surfaces apart. `one`: there is one instance. `listed`: those of a list
-    alone.
+    alone. `peeled`: FOLLOWING, where only what lies behind the layers before is drawn, and OPAQUE, where it lies before
+    what is opaque. `keyed`: into an IdBuffer otherwise.
     """
-    varyings = [("flat", "uint", "v_id"), ("flat", "vec3" if group.blocks else "vec2", "v_about")]
+    varyings = [("flat", "uint", "v_id")]
+    varyings += [("flat", "vec3" if group.blocks else "vec2", "v_about")] if keyed else []
     identity = (*varyings, *((("smooth", "vec3", "v_normal"),) if normal else ()))
-    return _cover_program(lattice, group, one, identity, listed)
+    return _cover_program(lattice, group, one, identity, listed, peeled, keyed)
 
 
 def _cover_program(
-    lattice: Lattice, group: Group, one: bool, identity: tuple[tuple[str, str, str], ...], listed: bool
+    lattice: Lattice,
+    group: Group,
+    one: bool,
+    identity: tuple[tuple[str, str, str], ...],
+    listed: bool,
+    peeled: tuple[str, ...] = (),
+    keyed: bool = True,
 ) -> Interface:
     """Returns the program that draws a group of triangles. `identity`: varyings that tell triangles and surfaces apart;
     none: only depths are drawn."""
@@ -103,17 +124,24 @@ def _cover_program(
     sample = (*(SAMPLE_FIELDS if cut else ()), *(FOOTPRINT_FIELDS if levels else ()))
     alone = (*ONE_INSTANCE_FIELDS, *((("int", "instance"),) if cut else ())) if one else ()
     flags = {"PS_CULL": group.cull, "PS_NORMAL": normal, "PS_ONE_INSTANCE": one, "PS_CUT": cut,
-             "PS_LISTED": listed, DEPTH_ONLY_DEFINE[0]: not identity}  # fmt: skip
+             "PS_LISTED": listed, "PS_PEELED": FOLLOWING in peeled, "PS_WITHOUT_KEYS": not keyed,
+             "PS_BEFORE_OPAQUE": OPAQUE in peeled, DEPTH_ONLY_DEFINE[0]: not identity}  # fmt: skip
     return Interface(
         "polygons" if identity else "shadow maps",
         vertex="visibility/polygon_ids.vert",
         fragment="visibility/polygon_ids.frag",
         block=_block("PolygonIds", group, one, own, (("int", "mirrored"),), LATTICE_FIELDS, sample)
+        if identity and keyed
+        else block("PeeledIds", CAMERA_FIELDS, MESH_FIELDS[1:], own, alone, LATTICE_FIELDS, sample)
         if identity
         else block("PolygonDepths", CAMERA_FIELDS, own, alone, LATTICE_FIELDS, sample),
-        samplers=(*(("FLOAT_2D", name) for name in samplers), *((LIST_SAMPLER,) if listed else ())),
+        samplers=(
+            *(("FLOAT_2D", name) for name in samplers),
+            *((LIST_SAMPLER,) if listed else ()),
+            *(("UINT_2D", name) for name in peeled),
+        ),
         varyings=tuple(varyings),
-        outputs=OUTPUTS if identity else DEPTH_OUTPUT,
+        outputs=(OUTPUTS if keyed else OUTPUTS[:2]) if identity else DEPTH_OUTPUT,
         defines=(
             LATTICE_DEFINE,
             *define_entries([*names, *(name for name, on in flags.items() if on)]),
@@ -323,17 +351,28 @@ def _steps(draw: Drawn, group: Group, slot: int = 0, slots: int | None = None) -
 class PolygonCover(PolygonDepths):
     """Draws the polygons of one picture into its visibility buffer."""
 
-    def __init__(self, device: Device, draws: list[Drawn], buffer: VisibilityBuffer, normal: bool) -> None:
-        """`normal`: normals tell surfaces apart."""
+    def __init__(
+        self,
+        device: Device,
+        draws: list[Drawn],
+        buffer: IdBuffer,
+        normal: bool,
+        peeled: tuple[str, ...] = (),
+    ) -> None:
+        """`normal`: normals tell surfaces apart. `peeled`: see `ids_program`; the rasteriser draws all, and is given
+        these textures."""
         super().__init__(device, draws, buffer)
-        self._buffer, self._normal = buffer, normal
+        self._buffer, self._normal, self._peeled = buffer, normal, peeled
 
     def identify(self, view: SampleView, shared: dict[str, Texture]) -> None:
         """Draws the numbers of what `cover` has drawn."""
+        assert isinstance(self._buffer, VisibilityBuffer)
         self._compute("IDENTIFY", view, shared, {"ids": self._buffer.ids, "keys": self._buffer.keys})
 
     def _raster_program(self, draw: Drawn, group: Group, listed: bool) -> Interface:
-        return ids_program(self._normal, self._buffer.lattice, group, draw.one, listed)
+        return ids_program(
+            self._normal, self._buffer.lattice, group, draw.one, listed, self._peeled, self._buffer.keyed
+        )
 
     def _compute_program(self, draw: Drawn, group: Group, step: str) -> Interface:
         return triangle_program(self._buffer.lattice, group, draw.one, step, self._normal)

@@ -47,6 +47,7 @@ PLACED = {
     "ps_placed_emission": "RGBA16F",
     "ps_placed_normal": "RGBA16F",
 }
+THROUGH = "ps_through"  # what passes there: a share of light of each channel, and alpha
 
 
 @dataclass
@@ -103,9 +104,11 @@ def arrange(
     order: np.ndarray | None = None,
     chunked: bool = False,
     placing: bool = False,
+    translucent: bool = False,
 ) -> Arranged:
     """Returns what is uploaded of a mesh. `emission`: something glows. `chunked`: chunks of it may be left out.
-    `placing`: graphs are evaluated where they are seen unless pictures show them as well.
+    `placing`: graphs are evaluated where they are seen unless pictures show them as well. `translucent`: light passes
+    through it, of which both sides are seen; all graphs are evaluated where they are seen.
 
     `order`: (T,) triangles in the order of the parts, or without parts in any; None: as they come.
     """
@@ -120,11 +123,13 @@ def arrange(
     shown = {row: graph for row, graph in graphs.items() if pictured(mesh, graph)}
     if placing:  # pictures of functions are as coarse as they are made; but their alpha is needed at all sub-samples
         shown = {row: graph for row, graph in shown.items() if needs(graph).images or graph.alpha is not None}
+    if translucent:
+        shown = {}
     flat = {row: graph for row, graph in graphs.items() if row not in shown}
-    placed = {row: graph for row, graph in flat.items() if placing and not interpolates(graph)}
-    at_places = _placed(list(placed.values()))
-    # Of these, alpha alone is needed at corners.
-    flat |= {row: MaterialGraph(alpha=graph.alpha) for row, graph in placed.items()}
+    placed = {row: graph for row, graph in flat.items() if translucent or (placing and not interpolates(graph))}
+    at_places = _placed(list(placed.values())) + ((THROUGH,) if translucent else ())
+    # Of these, alpha alone is needed at corners, where it cuts out.
+    flat |= {row: MaterialGraph(alpha=None if translucent else graph.alpha) for row, graph in placed.items()}
     flat = {row: graph for row, graph in flat.items() if graph.channels}
     looks, at_each_corner, normals = _looks(mesh, order, table, flat, emission) if flat else ({}, (), None)
     if shown:
@@ -142,7 +147,9 @@ def arrange(
         if parts is not None:
             part = np.arange(first, end) if by_material is None else by_material[first:end]
             begins = 3 * (first + np.searchsorted(part // PART, np.arange(len(parts) + 1)))
-        made = Group(row, 3 * first, 3 * (end - first), bool(table.cull[row]), defines, graph, start=begins)
+        made = Group(
+            row, 3 * first, 3 * (end - first), bool(table.cull[row]) and not translucent, defines, graph, start=begins
+        )
         made.placed = at_places if row in placed else ()
         if chunked:
             made.chunks = _chunk_boxes(mesh, slice(first, end) if order is None else order[first:end]) - origin
@@ -195,10 +202,11 @@ class PolygonMesh:
         parts: Parts | None = None,
         order: np.ndarray | None = None,
         placing: bool = False,
+        translucent: bool = False,
     ) -> None:
-        """`parts`, `order`, `placing`: see arrange."""
+        """`parts`, `order`, `placing`, `translucent`: see arrange."""
         chunked = parts is None and len(mesh.triangles) >= FEWEST_CHUNKS * CHUNK
-        arranged = arrange(mesh, table, variant.emission, parts, order, chunked, placing)
+        arranged = arrange(mesh, table, variant.emission, parts, order, chunked, placing, translucent)
         self.triangles, self.origin, self.box = arranged.triangles, arranged.origin, arranged.box
         self.groups = arranged.groups
         self.order = arranged.order if any(group.placed for group in arranged.groups) else None

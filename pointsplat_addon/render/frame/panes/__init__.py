@@ -1,0 +1,1 @@
+"""Panes of one picture: translucent meshes as layers of triangles."""

@@ -1,0 +1,215 @@
+"""Draws the panes of one picture, layer by layer, over the opaque part that the visibility buffer holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ....core.scene.scene import Scene
+from ...device.protocol import Device, Target, Texture, releases_on_failure
+from ...passes.gbuffer import GBuffer
+from ...passes.grouping.groups import Groups, Leaders
+from ...passes.translucent.cells import number_texels
+from ...passes.translucent.pane_layers import (
+    COMPOSE,
+    FILTER,
+    STATE,
+    change_program,
+    compose_program,
+    filter_program,
+)
+from ...passes.translucent.strata import member_texels, weight_rows
+from ...passes.uniforms import SampleView
+from ...passes.visibility.buffer import VisibilityBuffer
+from ...passes.visibility.polygon_ids import FOLLOWING, OPAQUE, PolygonCover
+from ...passes.visibility.polygon_mesh import THROUGH
+from ...plan.plan import Plan
+from ...prepare.prepare import Prepared
+from ..indirect.light import GroupsInIndirectLight
+from ..shading import Shading
+from ..uploads.polygons import PolygonUploads
+from ..uploads.uploads import Uploads
+from ..visibility.placed import placed_textures
+from ..visibility.polygon_draws import polygon_draws
+from ..visibility.targets import VisibilityTargets
+from ..visibility.tiles import PictureTile
+
+MOST_LAYERS = 128
+Run = Callable[[str, Callable[[], None]], None]  # runs a pass, and times it under a name
+
+
+@dataclass(eq=False)
+class _Panes:
+    """The panes of a view, for `polygon_draws`."""
+
+    scene: Scene
+    prepared: Prepared  # whose polygons they are
+    polygons: PolygonUploads
+
+
+class Panes:
+    """Draws the panes of one picture."""
+
+    @releases_on_failure
+    def __init__(
+        self,
+        device: Device,
+        plan: Plan,
+        uploads: Uploads,
+        targets: VisibilityTargets,
+        shading: Shading,
+        sums: Target,
+        run: Run,
+        indirect: GroupsInIndirectLight | None,
+    ) -> None:
+        """`sums`: of Combined alone. `run` times each pass. `indirect`: light that surfaces receive from each other."""
+        self._device, self._plan, self._uploads, self._targets = device, plan, uploads, targets
+        self._shading, self._sums, self._run, self._indirect = shading, sums, run, indirect
+        self._owned: list[Any] = []
+        lattice, cells = targets.buffer.lattice, targets.buffer.cells
+        self._buffer = self._own(VisibilityBuffer(device, lattice, targets.size_of_tile))
+        self._groups = self._own(Groups(device, self._buffer))
+        self._states = [
+            {name: self._own(device.texture(cells, format)) for name, format in STATE.items()} for _ in range(2)
+        ]
+        self._state_targets = [self._own(device.target(list(state.values()))) for state in self._states]
+        self._change_targets = [self._own(device.target([state["ps_light"]])) for state in self._states]
+        self._numbers = self._filled(number_texels(lattice), "R32F")
+        self._members = self._filled(member_texels(lattice, np.arange(lattice.count)), "RGBA32F")
+
+    def draw(self, view: SampleView, tile: PictureTile, shaded: dict[str, Texture], weights: np.ndarray) -> None:
+        """Adds to the sums what panes change in a tile.
+
+        `shaded`: what opaque groups show, by sampler name. weights: (N, S), of the pixel filter.
+        """
+        device, uploads = self._device, self._uploads
+        panes = _Panes(uploads.scene, replace(uploads.prepared, polygons=uploads.prepared.panes), uploads.polygons)
+        draws = polygon_draws(device, panes, view, 0, None)
+        if not draws:
+            return
+        cover = PolygonCover(device, draws, self._buffer, self._plan.variant.normal, (FOLLOWING, OPAQUE))
+        try:
+            last = self._draw_layers(view, cover)
+        finally:
+            cover.release()
+        if last is not None:
+            self._run("add", lambda: self._add(view, tile, shaded, weights, last))
+
+    def _draw_layers(self, view: SampleView, cover: PolygonCover) -> int | None:
+        """Composes all layers, and returns which of the states holds them; None: there are none."""
+        device, current = self._device, 0
+        device.clear(self._state_targets[0])
+        for layer in range(MOST_LAYERS):
+            state = self._states[current]
+            peeled = {OPAQUE: self._targets.buffer.depths, FOLLOWING: state[FOLLOWING]}
+            self._buffer.clear()
+            self._run("polygons", lambda peeled=peeled: cover.rasterise(view, {**self._uploads.shared, **peeled}))
+            self._run("group", lambda: self._group(view, cover))
+            if self._groups.total == 0:
+                return None if layer == 0 else current
+            assert self._groups.leaders is not None
+            leaders = self._groups.leaders
+            lists = self._targets.lists_of_panes(leaders.size)
+            lists.surfaces.clear()
+            device.clear(lists.target)
+            through: list[Texture] = []
+            try:
+                self._run(
+                    "attributes",
+                    lambda leaders=leaders, lists=lists, through=through: through.append(
+                        self._write_attributes(view, cover, leaders, lists.surfaces)
+                    ),
+                )
+                self._shade(view, leaders, lists.surfaces, lists.target)
+                shown = {THROUGH: through[0], "ps_combined": lists.shaded["ps_combined"]}
+                self._run(
+                    "compose",
+                    lambda state=state, shown=shown, current=current: self._compose(
+                        view, {**state, **shown}, self._state_targets[1 - current]
+                    ),
+                )
+            finally:
+                for texture in through:
+                    texture.release()
+            current = 1 - current
+        return current
+
+    def _group(self, view: SampleView, cover: PolygonCover) -> None:
+        self._groups.group(view)
+        if self._groups.total:
+            self._groups.sort(view, [draw.first_id for draw in cover.draws])
+
+    def _write_attributes(self, view: SampleView, cover: PolygonCover, leaders: Leaders, out: GBuffer) -> Texture:
+        """Writes the attributes of groups, and returns what passes them."""
+        variant, scene, lattice = self._plan.variant, self._uploads.scene, self._buffer.lattice
+        placed = placed_textures(
+            self._device, scene, cover.draws, variant, view, lattice, self._groups, leaders, translucent=True
+        )
+        through = placed.pop(THROUGH)
+        try:
+            cover.write_attributes(variant, view, self._uploads.shared, self._groups, leaders, out, placed)
+        finally:
+            for texture in placed.values():
+                texture.release()
+        return through
+
+    def _shade(self, view: SampleView, leaders: Leaders, surfaces: GBuffer, target: Target) -> None:
+        received: dict[str, Texture] = {}
+        if self._indirect is not None:
+            indirect, listed, entries = self._indirect, leaders.list, self._groups.entries
+            assert listed is not None
+            self._run("gather", lambda: received.update(indirect.gather(view, surfaces, listed, entries)))
+        groups = leaders.bound | self._groups.codes
+        self._run("shade", lambda: self._shading.shade_groups(view, surfaces, groups, self._buffer, target, received))
+
+    def _compose(self, view: SampleView, textures: dict[str, Texture], target: Target) -> None:
+        program = compose_program(self._groups.places is not None)
+        bound = {**_listed(self._groups), **textures, "ps_numbers": self._numbers, "ps_depths": self._buffer.depths}
+        record = view.record(COMPOSE, **self._buffer.values)
+        self._device.draw(program, target, uniforms=record, textures=bound)
+
+    def _add(
+        self, view: SampleView, tile: PictureTile, shaded: dict[str, Texture], weights: np.ndarray, last: int
+    ) -> None:
+        """Adds what the layers of a state change in a tile to the sums."""
+        device, targets, lattice = self._device, self._targets, self._buffer.lattice
+        behind = {} if targets.behind is None else {"ps_behind": targets.behind}
+        program = change_program(targets.behind is not None, targets.groups.places is not None)
+        state, other = self._states[last], self._states[1 - last]
+        textures = {**_listed(targets.groups), **behind, "ps_numbers": self._numbers}
+        textures |= {"ps_combined": shaded["ps_combined"]} | {name: state[name] for name in ("ps_light", "ps_hidden")}
+        record = view.record(COMPOSE, **self._buffer.values)
+        device.draw(program, self._change_targets[1 - last], uniforms=record, textures=textures)
+        rows = weight_rows(weights, np.arange(lattice.count))
+        with_rows = device.texture((rows.shape[1], rows.shape[0]), "R32F", rows.reshape(-1))
+        try:
+            record = view.record(
+                FILTER, rectangle=tile.rectangle(targets.size), corner=tile.origin, sub_samples=lattice.count,
+                neighbours=len(rows), **self._buffer.values,
+            )  # fmt: skip
+            bound = {"ps_change": other["ps_light"], "ps_members": self._members, "ps_weights": with_rows}
+            device.draw(filter_program(lattice), self._sums, uniforms=record, textures=bound, vertices=6, blend=True)
+        finally:
+            with_rows.release()
+
+    def _filled(self, texels: np.ndarray, format: str) -> Texture:
+        size = texels.shape[1], texels.shape[0]
+        return self._own(self._device.texture(size, format, texels.astype(np.float32).reshape(-1)))
+
+    def _own(self, item: Any) -> Any:
+        self._owned.append(item)
+        return item
+
+    def release(self) -> None:
+        for item in reversed(self._owned):
+            item.release()
+
+
+def _listed(groups: Groups) -> dict[str, Texture]:
+    """What tells which group of the list each sub-sample shows, by sampler name."""
+    assert groups.starts is not None
+    places = {} if groups.places is None else {"ps_places": groups.places}
+    return {**groups.codes, "ps_starts": groups.starts, **places}

@@ -1,0 +1,27 @@
+// What panes change in each cell: their light, less what they hide of what is opaque. ps_numbers, PS_PLACES: as in
+// layer.frag. PS_BEHIND: what open sub-samples show.
+
+#include "lib/visibility/lattice.glsl"
+#include "lib/visibility/groups.glsl"
+
+void main()
+{
+  ivec2 cell = ivec2(gl_FragCoord.xy), pixel = ivec2(floor(ps_pixel_from_cell(vec2(cell) + 0.5)));
+  out_change = vec4(0.0);
+  vec3 hidden = texelFetch(ps_hidden, cell, 0).rgb;
+  bool inside = all(greaterThanEqual(pixel, ivec2(0))) && all(lessThan(pixel, u.size));
+  if (inside && hidden != vec3(0.0)) {
+    uvec2 codes = uvec2(texelFetch(ps_first, pixel, 0).x, texelFetch(ps_second, pixel, 0).x);
+    ivec2 beside = cell - ps_central_cell(pixel) + textureSize(ps_numbers, 0) / 2;
+    uint group = ps_group(codes, int(texelFetch(ps_numbers, beside, 0).x));
+    bool open = group == PS_NO_GROUP;
+    int entry = int(texelFetch(ps_starts, pixel, 0).x) + (open ? 0 : int(group));
+    vec4 shown = open ? vec4(0.0) : texelFetch(ps_combined, ps_group_texel(entry), 0);
+#ifdef PS_BEHIND
+    shown = open ? texelFetch(ps_behind, pixel, 0) : shown;
+#endif
+    // Alpha is that of the mean of the channels, as in Cycles.
+    float covered = (1.0 - shown.w) * dot(hidden, vec3(1.0 / 3.0));
+    out_change = vec4(texelFetch(ps_light, cell, 0).rgb - hidden * shown.rgb, covered);
+  }
+}
