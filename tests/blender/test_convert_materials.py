@@ -559,6 +559,7 @@ def test_coats_are_columns_of_their_own_and_mix_by_weight():
 
     table, warnings = convert_materials([surface("all", lambda t: principled(t, **given)), surface("half", half)])
     assert not warnings
+    assert table.coat is not None
     np.testing.assert_allclose(table.coat.weight, [0, 0.5, 0.25])
     np.testing.assert_allclose(table.coat.roughness[1:], 0.25)
     np.testing.assert_allclose(table.coat.ior[1:], 1.75)
@@ -585,6 +586,7 @@ def test_what_is_lit_from_behind_is_a_share_of_the_colour():
     ]
     table, warnings = convert_materials(found)
     expected = [[0] * 3, [1] * 3, [0.25, 0.75, 1], [0.25] * 3, [0] * 3]
+    assert table.backlit is not None
     np.testing.assert_allclose(table.backlit, expected, atol=1e-6)
     assert warnings == ['Material "in part": its translucency varies, and is lit from the front']
     assert convert_materials([surface("bare", principled)])[0].backlit is None
