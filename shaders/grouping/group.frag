@@ -6,9 +6,6 @@
 #include "lib/visibility/surface_key.glsl"
 
 #define PS_ALIKE 0.9  // least cosine between the normals of a group
-#define PS_SAME 0.9997  // of one facet, where facets are wider than a pixel: 1.4 degrees, twice the steps of keys
-#define PS_RING 16  // pixels that lie two pixels away
-#define PS_WIDE 8  // of them show what the one before shows
 #define PS_APART 2.0  // pixels: farthest distance from a group's plane
 #define PS_FIBRES_APART 8.0  // pixels: greatest difference in depth of a group's fibres
 
@@ -24,23 +21,6 @@
   surface##G = count == G && begins ? surface : surface##G;                                    \
   plane##G = count == G && begins ? plane : plane##G;
 
-// Whether the facets around a pixel, whose central cell is `middle`, are wider than pixels.
-bool ps_has_facets(ivec2 middle)
-{
-  ivec2 last = textureSize(ps_keys, 0) - 1, across = ivec2(u.lattice.xy), up = ivec2(-across.y, across.x);
-  uint before = texelFetch(ps_keys, clamp(middle - 2 * across - up, ivec2(0), last), 0).x;
-  int wide = 0;
-  ivec2 at = ivec2(-2, -2), way = ivec2(1, 0);
-  for (int i = 0; i < PS_RING; i++) {
-    uint key = texelFetch(ps_keys, clamp(middle + at.x * across + at.y * up, ivec2(0), last), 0).x;
-    wide += key == before ? 1 : 0;
-    before = key;
-    at += way;
-    way = (i & 3) == 3 ? ivec2(-way.y, way.x) : way;
-  }
-  return wide >= PS_WIDE;
-}
-
 void main()
 {
   ivec2 middle = ps_central_cell(ivec2(gl_FragCoord.xy));
@@ -50,7 +30,6 @@ void main()
   int count = 0;
   uint first = 0u;
   bool uniform_code = true, open = false;
-  float alike = ps_has_facets(middle) ? PS_SAME : PS_ALIKE;
   for (int i = 0; i < PS_SUB_SAMPLES; i++) {
     ivec2 cell = middle + ps_sub_sample_cell(i);
     uint bits = texelFetch(ps_depths, cell, 0).x;
@@ -68,7 +47,7 @@ void main()
       PS_COMPARE(1)
       PS_COMPARE(2)
       PS_COMPARE(3)
-      bool begins = best < 2.0 + alike && count < PS_GROUPS;
+      bool begins = best < 2.0 + PS_ALIKE && count < PS_GROUPS;
       PS_BEGIN(0)
       PS_BEGIN(1)
       PS_BEGIN(2)
