@@ -1,7 +1,6 @@
 // Which triangle each sub-sample shows. PS_DEPTH_ONLY: only how far away it is. PS_CUT: its alpha is not always 1.
-// PS_PEELED: what does not lie before the least depth of a layer,
-// whose bits ps_following inverts. PS_BEFORE_OPAQUE: what lies before what is opaque.
-// PS_WITHOUT_KEYS: surfaces are not told apart.
+// PS_PEELED: what does not lie before the least depth of a layer, whose bits ps_following inverts. PS_BEFORE_OPAQUE:
+// what lies before what is opaque. PS_WITHOUT_KEYS: surfaces are not told apart.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/data/polygon.glsl"

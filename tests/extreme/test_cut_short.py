@@ -22,6 +22,7 @@ from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes.cameras import camera
 from scripts.scenes.case import ALL_PASSES, Case
 from scripts.scenes.store import STORE
+from scripts.scenes.translucent_cases import panes_of_functions
 from tests.support.extremes import COMBINED, FEW, SHADOWED, TECHNIQUES, all_kinds
 
 SAMPLES = 6  # so many that tiles are asked whether they need more
@@ -67,16 +68,20 @@ class Failing(NullDevice):
 
 
 def requests() -> dict[str, tuple[Case, Request]]:
-    """Of all that is drawn: by each technique, and out of focus by splats and by samples of the lens."""
+    """Of all that is drawn: by each technique, and out of focus by splats and by samples of the lens. And of panes,
+    which are triangles where nothing else is translucent."""
     case = all_kinds("cut short")
     eye = camera((0.5, -4, 0.7), resolution=FEW)
     blurred = replace(eye, aperture=Aperture(0.3, 4.0))
     found = {name.lower(): (eye, replace(SHADOWED, technique=name)) for name in TECHNIQUES}
     found |= {method.lower(): (blurred, replace(SHADOWED, dof_method=method)) for method in ("SPLAT", "LENS_SAMPLES")}
-    return {
+    made = {
         name: (replace(case, camera=view), Request(view, settings, ALL_PASSES, SAMPLES))
         for name, (view, settings) in found.items()
     }
+    view, settings = found["visibility"]
+    panes = replace(panes_of_functions(), camera=view)
+    return made | {"panes": (panes, Request(view, settings, ALL_PASSES, SAMPLES))}
 
 
 REQUESTS = requests()
@@ -102,7 +107,11 @@ def cut_after(name: str, checks: int) -> tuple[bool, Failing]:
     return not result.cancelled, device
 
 
-@pytest.mark.parametrize("name", REQUESTS)
+# A device that only records shows panes in as many layers as there may be, before each of which it is asked.
+SLOW = {"panes"}
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.long) if n in SLOW else n for n in REQUESTS])
 def test_a_picture_that_is_not_wanted_any_more_leaves_nothing(name):
     """At each of the moments when it is asked: while points are prepared and shadows cast, and from pass to pass."""
     for checks in count():
@@ -116,16 +125,17 @@ def test_a_picture_that_is_not_wanted_any_more_leaves_nothing(name):
     assert checks > 10
 
 
+@pytest.mark.parametrize("step", [16, pytest.param(1, marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", REQUESTS)
-def test_a_device_whose_memory_is_full_keeps_nothing_of_a_picture(name):
-    """The first texture and target of each size and format, and every sixteenth of all, is in turn the first that it
+def test_a_device_whose_memory_is_full_keeps_nothing_of_a_picture(name, step):
+    """The first texture and target of each size and format, and each `step`-th of all, is in turn the first that it
     refuses; with room again, it draws."""
     case, request = REQUESTS[name]
     whole = Failing()
     Renderer(whole, STORE).render(case.scene, request)
     first = {whole.asked.index(kind) for kind in whole.asked}
     assert len(first) > 20
-    for number in sorted(first | set(range(0, len(whole.asked), 16))):
+    for number in sorted(first | set(range(0, len(whole.asked), step))):
         device = Failing(number)
         renderer = Renderer(device, STORE)
         with pytest.raises(DeviceError, match="no memory"):

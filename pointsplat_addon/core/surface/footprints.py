@@ -19,10 +19,8 @@ from ..scene.mesh import Mesh
 from .appearance import at_places
 from .samples import Samples, material_ids, take_samples
 
-Look = dict[
-    str, np.ndarray
-]  # attributes by their names in Appearance, (P, N, C); THROUGH is T in three channels, alpha
 THROUGH = "through"
+Look = dict[str, np.ndarray]  # attributes by their names in Appearance, (P, N, C), and THROUGH: see over_footprints
 # Places in a footprint, in its half-diameters; two on opposite sides, two more, and a place in each of 4 by 4 squares.
 FEW = np.array([[-0.75, -0.25], [0.75, 0.25]])
 MORE = np.array([[0.25, -0.75], [-0.25, 0.75]])

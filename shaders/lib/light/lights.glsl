@@ -2,9 +2,9 @@
 // sources: tests/reference/lighting.py.
 // Names say what a scene needs, and all else is left out: PS_HAS_SUNS, PS_HAS_POINTS, PS_HAS_SPOTS, PS_HAS_RECTANGLES,
 // PS_HAS_ELLIPSES (kinds of lights), PS_ONE_KIND (all lights are of one); PS_HAS_WIDE_LIGHTS (some light's size is
-// seen), PS_HAS_BEAMS (narrowed area lights), PS_HAS_METAL, PS_COAT, PS_BACKLIT, PS_ONE_SURFACE, PS_HAS_WORLD, PS_HAS_ENVIRONMENT, PS_FOG. Some
-// devices run both sides of every branch, so work that not all pixels need stands in loops of as many turns as a
-// pixel needs.
+// seen), PS_HAS_BEAMS (narrowed area lights), PS_HAS_METAL, PS_COAT, PS_BACKLIT, PS_ONE_SURFACE, PS_HAS_WORLD,
+// PS_HAS_ENVIRONMENT, PS_FOG. Some devices run both sides of every branch, so work that not all pixels need stands in
+// loops of as many turns as a pixel needs.
 
 #if defined(PS_HAS_SUNS) || defined(PS_HAS_POINTS) || defined(PS_HAS_SPOTS)
 #define PS_HAS_ROUND_LIGHTS

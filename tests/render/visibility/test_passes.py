@@ -42,9 +42,12 @@ def test_passes_under_the_centres_are_those_of_the_g_buffer(name):
         np.testing.assert_allclose(here[key], there[key], rtol=1e-5, atol=1e-5, err_msg=key)  # measured 3e-7
 
 
-@pytest.mark.parametrize("name", [*EXACT, "split_mesh"])
-def test_averages_converge_to_those_of_whole_samples(name):
-    samples = 64 if name == "split_mesh" else 512  # of thousands of small parts a sample takes half a second
+# Of thousands of small parts a sample takes half a second.
+SPLIT = [("split_mesh", 64), pytest.param("split_mesh", 512, marks=pytest.mark.long)]
+
+
+@pytest.mark.parametrize(("name", "samples"), [*((name, 512) for name in EXACT), *SPLIT])
+def test_averages_converge_to_those_of_whole_samples(name, samples):
     truth = render(by("IMAGE_SPACE", name), samples=samples).pixels
     found = render(by("VISIBILITY", name), samples=16 * MANY.count).pixels
     for key, most in (("combined", 0.005), ("albedo", 0.004), ("normal", 0.01), ("mist", 0.004)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -149,11 +150,14 @@ class Panes:
             self._device, scene, cover.draws, variant, view, lattice, self._groups, leaders, translucent=True
         )
         through = placed.pop(THROUGH)
-        try:
-            cover.write_attributes(variant, view, self._uploads.shared, self._groups, leaders, out, placed)
-        finally:
-            for texture in placed.values():
-                texture.release()
+        with ExitStack() as unfinished:
+            unfinished.callback(through.release)
+            try:
+                cover.write_attributes(variant, view, self._uploads.shared, self._groups, leaders, out, placed)
+            finally:
+                for texture in placed.values():
+                    texture.release()
+            unfinished.pop_all()
         return through
 
     def _shade(self, view: SampleView, leaders: Leaders, surfaces: GBuffer, target: Target) -> None:

@@ -8,6 +8,7 @@ expressions of NumPy.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from functools import partial
 
 import numpy as np
@@ -104,7 +105,13 @@ def placed_textures(
                 own = own[np.isin(mesh.material[triangle[own]], materials)]
             places = slot[own], triangle[own], mine[own]
             each_block(len(own), partial(evaluate, draw, mesh, places), BLOCK)
-    return {name: device.texture(leaders.size, formats[name], values.reshape(-1)) for name, values in found.items()}
+    with ExitStack() as unfinished:
+        textures: dict[str, Texture] = {}
+        for name, values in found.items():
+            textures[name] = device.texture(leaders.size, formats[name], values.reshape(-1))
+            unfinished.callback(textures[name].release)
+        unfinished.pop_all()
+    return textures
 
 
 def footprints_in_view(

@@ -123,7 +123,8 @@ class Groups:
         record = view.record(GROUP_BLOCK, **buffer.values)
         if self._target is None:
             for name in ("ps_first", "ps_second"):
-                self.codes[name] = device.texture(buffer.size, "R32UI")
+                if name not in self.codes:  # which it is where memory ran out between the two
+                    self.codes[name] = device.texture(buffer.size, "R32UI")
             self._target = device.target(list(self.codes.values()))
         device.draw(group_program(buffer.lattice), self._target, uniforms=record, textures=buffer.textures)
         second = device.read(self.codes["ps_second"]).reshape(-1)

@@ -45,10 +45,8 @@ from .small_triangles import LIST_SAMPLER, LISTED, group_fields, is_cut, triangl
 MOST_VERTICES = 1 << 26  # of one draw
 AVERAGE_DEFINE = ("PS_AVERAGE", "1")  # pictures are averaged over sub-samples
 ID_FIELDS: Fields = (("int", "first_id"),)  # number of the first triangle of the first instance
-FOLLOWING, OPAQUE = (
-    "ps_following",
-    "ps_opaque_depths",
-)  # of what is drawn layer by layer: from where on, and up to where
+# Of what is drawn layer by layer: from which depths on, and up to which.
+FOLLOWING, OPAQUE = "ps_following", "ps_opaque_depths"
 MESH_FIELDS: Fields = (
     ("int", "material"),
     *ID_FIELDS,
