@@ -24,8 +24,16 @@ void main()
       ivec2 entry = ps_group_texel(int(texelFetch(ps_starts, pixel, 0).x) + int(group));
       vec4 through = texelFetch(ps_through, entry, 0);
       vec3 left = 1.0 - out_hidden.rgb;
+#ifdef PS_TRANSMITTED
+      out_light.rgb += left * (through.rgb - (1.0 - through.w));
+#else
       out_light.rgb += left * through.w * texelFetch(ps_combined, entry, 0).rgb;
+#endif
+#ifdef PS_TERM_PASSED
+      left *= 1.0 - through.w;
+#else
       left *= through.rgb;
+#endif
       out_hidden.rgb = 1.0 - left;
       out_following = max(left.r, max(left.g, left.b)) < PS_CLOSED ? 0u : ~(depth + 1u);
     }

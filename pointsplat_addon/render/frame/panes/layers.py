@@ -170,7 +170,7 @@ class Panes:
         self._run("shade", lambda: self._shading.shade_groups(view, surfaces, groups, self._buffer, target, received))
 
     def _compose(self, view: SampleView, textures: dict[str, Texture], target: Target) -> None:
-        program = compose_program(self._groups.places is not None)
+        program = compose_program(self._groups.places is not None, self._plan.term)
         bound = {**_listed(self._groups), **textures, "ps_numbers": self._numbers, "ps_depths": self._buffer.depths}
         record = view.record(COMPOSE, **self._buffer.values)
         self._device.draw(program, target, uniforms=record, textures=bound)

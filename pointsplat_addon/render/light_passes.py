@@ -1,0 +1,99 @@
+"""Makes passes of light as Cycles composes them:
+
+Combined = (DiffDir + DiffInd) DiffCol + (GlossDir + GlossInd) GlossCol + (TransDir + TransInd) TransCol
+           + VolumeDir + VolumeInd + Emit + Env
+
+Each is made of pictures of terms of the light (passes/shading/terms.py), which are drawn as Combined is, with the same
+samples, so that the sum is exact. Direct is what has come from a lamp, an emitter or the world without a bounce between;
+Indirect is the rest. Where the film is transparent, Combined has no Env, which is the world all the same, as in Cycles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Set
+from functools import cache
+
+import numpy as np
+
+from ..core.numeric.record import value_record
+from .passes.shading.terms import DIFFUSE, EMISSION, ENVIRONMENT, GLOSSY, TRANSMISSION, VOLUME, Term
+from .plan.plan import Plan
+
+Draw = Callable[[Term, bool], np.ndarray]  # a term, and whether without light that has bounced: (H, W, 3) float32
+OF_SURFACES = {"diffuse": DIFFUSE, "glossy": GLOSSY, "transmission": TRANSMISSION}
+
+
+@value_record
+class Light:
+    """What kinds of light a picture has: what is not there is not drawn."""
+
+    bounces: bool  # surfaces send each other light
+    transmits: bool  # what lies behind some surfaces is seen through them
+    hair: bool  # there are strands, which may transmit light
+    media: bool  # something fills a volume
+    trained: bool  # captured splats are blended in display values, so that what they show is no sum
+
+    @classmethod
+    def of(cls, plan: Plan, fog: bool) -> Light:
+        """The light of a plan. `fog`: the world is full of it."""
+        translucent = plan.translucent
+        media = fog or (translucent is not None and translucent.media)
+        trained = translucent is not None and translucent.trained
+        hair = plan.lines or (translucent is not None and translucent.strands)
+        return cls(plan.indirect, plan.panes, hair, media, trained)
+
+
+def light_passes(
+    asked: Set[str], light: Light, combined: np.ndarray, transparent: bool, draw: Draw
+) -> dict[str, np.ndarray]:
+    """Returns the passes of light that are asked for, (H, W, 3) float32 by key.
+
+    combined: (H, W, 3 or more) float32. `transparent`: the film is. `draw` draws a term; each is drawn once.
+    """
+    zeros = np.zeros((*combined.shape[:2], 3), np.float32)
+
+    @cache
+    def term(name: str, direct: bool = False, color: bool = False, through: bool = False) -> np.ndarray:
+        return draw(Term(name, color, through or not light.transmits), direct)
+
+    def parts(name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Direct and indirect radiance by way of surfaces that are seen."""
+        whole = term(name)
+        direct = term(name, direct=True) if light.bounces else whole
+        return direct, whole - direct if light.bounces else zeros
+
+    def transmitted() -> tuple[np.ndarray, np.ndarray]:
+        """The same of what is transmitted: by hair, and what is seen through surfaces, less what alpha leaves open."""
+        direct, indirect = parts(TRANSMISSION) if light.hair else (zeros, zeros)
+        if not light.transmits:
+            return direct, indirect
+        names = (EMISSION,) if transparent else (EMISSION, ENVIRONMENT)
+        shown = sum(term(name, through=True) - term(name) for name in names)
+        rest = combined[..., :3] - sum(term(name, through=True) for name in names)
+        own = sum(term(name) for name in (DIFFUSE, GLOSSY, *((VOLUME,) if light.media else ())))
+        return direct + shown, rest - own - direct
+
+    def color(name: str) -> np.ndarray:
+        there = name != TRANSMISSION or light.hair or light.transmits
+        return term(name, color=True) if there else zeros
+
+    found: dict[str, np.ndarray] = {}
+    for stem, name in OF_SURFACES.items():
+        if f"{stem}_color" in asked:
+            found[f"{stem}_color"] = color(name)
+        if {f"{stem}_direct", f"{stem}_indirect"} & asked:
+            both = transmitted() if name == TRANSMISSION else parts(name)
+            found |= {f"{stem}_direct": _over(both[0], color(name)), f"{stem}_indirect": _over(both[1], color(name))}
+    if {"volume_direct", "volume_indirect"} & asked:
+        # Media scatter light once.
+        found |= {"volume_direct": term(VOLUME) if light.media else zeros, "volume_indirect": zeros}
+    if "environment" in asked:
+        found["environment"] = term(ENVIRONMENT)
+    if "emission" in asked:
+        found["emission"] = combined[..., :3] - term(ENVIRONMENT) if light.trained else term(EMISSION)
+    return {key: np.array(picture) for key, picture in found.items() if key in asked}
+
+
+def _over(light: np.ndarray, color: np.ndarray) -> np.ndarray:
+    """The light over the colour, 0 where that is: Cycles' safe_divide."""
+    return np.divide(light, color, out=np.zeros_like(light), where=color != 0)
