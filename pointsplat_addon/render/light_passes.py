@@ -16,6 +16,7 @@ from functools import cache
 import numpy as np
 
 from ..core.numeric.record import value_record
+from ..core.scene.scene import Scene
 from .passes.shading.terms import DIFFUSE, EMISSION, ENVIRONMENT, GLOSSY, TRANSMISSION, VOLUME, Term
 from .plan.plan import Plan
 
@@ -28,19 +29,20 @@ class Light:
     """What kinds of light a picture has: what is not there is not drawn."""
 
     bounces: bool  # surfaces send each other light
-    transmits: bool  # what lies behind some surfaces is seen through them
+    transmits: bool  # something is seen through glass
     hair: bool  # there are strands, which may transmit light
     media: bool  # something fills a volume
     trained: bool  # captured splats are blended in display values, so that what they show is no sum
 
     @classmethod
-    def of(cls, plan: Plan, fog: bool) -> Light:
-        """The light of a plan. `fog`: the world is full of it."""
+    def of(cls, plan: Plan, scene: Scene) -> Light:
+        """The light of a scene's plan."""
         translucent = plan.translucent
-        media = fog or (translucent is not None and translucent.media)
+        media = scene.world.fog is not None or (translucent is not None and translucent.media)
         trained = translucent is not None and translucent.trained
         hair = plan.lines or (translucent is not None and translucent.strands)
-        return cls(plan.indirect, plan.panes, hair, media, trained)
+        transmits = plan.panes and scene.materials.glass is not None
+        return cls(plan.indirect, transmits, hair, media, trained)
 
 
 def light_passes(
@@ -63,7 +65,7 @@ def light_passes(
         return direct, whole - direct if light.bounces else zeros
 
     def transmitted() -> tuple[np.ndarray, np.ndarray]:
-        """The same of what is transmitted: by hair, and what is seen through surfaces, less what alpha leaves open."""
+        """The same of what is transmitted by hair, and of what is seen through glass."""
         direct, indirect = parts(TRANSMISSION) if light.hair else (zeros, zeros)
         if not light.transmits:
             return direct, indirect

@@ -76,7 +76,7 @@ class Renderer:
             frame = Frame(self, scene, request, cancelled)
         except Cancelled:
             return Result({}, {}, cancelled=True)
-        light = Light.of(frame.frame_plan.plan, scene.world.fog is not None)
+        light = Light.of(frame.frame_plan.plan, frame.frame_plan.scene)
         if watch is not None:
             watch.ready(frame)
         try:

@@ -17,13 +17,12 @@ class Term:
 
     light: str  # how light leaves what the eye sees: one of the names above
     color: bool = False  # how much of it would leave under light that is 1 everywhere; else the radiance
-    through: bool = True  # seen through what transmits light, too; else only through what alpha leaves open
+    through: bool = True  # seen through glass, too; else only through what alpha leaves open
 
     @property
     def defines(self) -> tuple[str, ...]:
         """Names of shader defines."""
-        named = {"PS_TERM": True, f"PS_TERM_{self.light}": True, "PS_TERM_COLOR": self.color,
-                 "PS_TERM_PASSED": not self.through}  # fmt: skip
+        named = {"PS_TERM": True, f"PS_TERM_{self.light}": True, "PS_TERM_COLOR": self.color}
         return tuple(name for name, on in named.items() if on)
 
     @property

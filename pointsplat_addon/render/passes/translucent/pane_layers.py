@@ -34,13 +34,12 @@ def compose_program(places: bool, term: Term | None = None) -> Interface:
     order of the pixels. `term`: of light, that is drawn alone; what panes transmit is the colour of theirs."""
     transmitted = term is not None and term.color and term.light == TRANSMISSION
     read = ("ps_light", "ps_hidden", "ps_starts", "ps_numbers", *(() if transmitted else ("ps_combined",)), "ps_through")
-    named = {"PS_TRANSMITTED": transmitted, "PS_TERM_PASSED": term is not None and not term.through}
     return Interface(
         "compose", fragment="panes/layer.frag", block=COMPOSE,
         samplers=(*CODES, ("UINT_2D", "ps_depths"),
                   *(("FLOAT_2D", name) for name in (*read, *(("ps_places",) if places else ())))),
         outputs=(("vec4", "out_light"), ("vec4", "out_hidden"), ("uint", "out_following")),
-        defines=(*_listed(places), *((name, "1") for name, on in named.items() if on)),
+        defines=(*_listed(places), *((("PS_TRANSMITTED", "1"),) if transmitted else ())),
     )  # fmt: skip
 
 
