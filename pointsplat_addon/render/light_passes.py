@@ -21,6 +21,7 @@ from .passes.shading.terms import DIFFUSE, EMISSION, ENVIRONMENT, GLOSSY, TRANSM
 from .plan.plan import Plan
 
 Draw = Callable[[Term, bool], np.ndarray]  # a term, and whether without light that has bounced: (H, W, 3) float32
+LEAST_COLOR = 1e-6  # below it there is only what rounding leaves
 OF_SURFACES = {"diffuse": DIFFUSE, "glossy": GLOSSY, "transmission": TRANSMISSION}
 
 
@@ -76,8 +77,10 @@ def light_passes(
         return direct + shown, rest - own - direct
 
     def color(name: str) -> np.ndarray:
-        there = name != TRANSMISSION or light.hair or light.transmits
-        return term(name, color=True) if there else zeros
+        if name == TRANSMISSION and not (light.hair or light.transmits):
+            return zeros
+        found = term(name, color=True)
+        return np.where(found > LEAST_COLOR, found, np.float32(0))
 
     found: dict[str, np.ndarray] = {}
     for stem, name in OF_SURFACES.items():
@@ -98,4 +101,4 @@ def light_passes(
 
 def _over(light: np.ndarray, color: np.ndarray) -> np.ndarray:
     """The light over the colour, 0 where that is: Cycles' safe_divide."""
-    return np.divide(light, color, out=np.zeros_like(light), where=color != 0)
+    return np.divide(light, color, out=np.zeros_like(light), where=color > 0)

@@ -19,7 +19,7 @@ class RenderPass:
     channels: int
     ids: str  # channel letters
     kind: str  # COLOR, VALUE or VECTOR
-    switch: str  # the property that asks for it, of the view layer, or of its settings of this engine; "": always
+    switch: str  # the property that asks for it, by its path from the view layer; "": always
     averaged: bool = True  # over the samples; else taken from the first one (at the pixel's centre)
 
 
@@ -56,8 +56,8 @@ LIGHT_PASSES = (
     _of_light("transmission_direct", "TransDir", "Transmission Direct"),
     _of_light("transmission_indirect", "TransInd", "Transmission Indirect"),
     _of_light("transmission_color", "TransCol", "Transmission Color"),
-    _of_light("volume_direct", "VolumeDir", "Volume Direct"),
-    _of_light("volume_indirect", "VolumeInd", "Volume Indirect"),
+    _of_light("volume_direct", "VolumeDir", "Volume Direct", "pointsplat.use_pass_volume_direct"),
+    _of_light("volume_indirect", "VolumeInd", "Volume Indirect", "pointsplat.use_pass_volume_indirect"),
     _of_light("emission", "Emit", "Emission", "use_pass_emit"),
     _of_light("environment", "Env", "Environment"),
 )

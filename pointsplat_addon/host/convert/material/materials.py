@@ -236,7 +236,7 @@ def _material_surface(material: bpy.types.Material, output: bpy.types.Node | Non
         return read_surface(tree, output.inputs["Surface"], ())
     except UnsupportedNodeError as reason:
         # Other warnings of the tree no longer matter
-        tree.hair = None
+        tree.hair, tree.glass = None, False
         tree.warnings[:] = [f'Material "{material.name}": {reason}; its viewport colour is shown']
         return _viewport_surface(material)
 
