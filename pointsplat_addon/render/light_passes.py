@@ -31,7 +31,6 @@ class Light:
 
     bounces: bool  # surfaces send each other light
     transmits: bool  # something is seen through glass
-    hair: bool  # there are strands, which may transmit light
     media: bool  # something fills a volume
     trained: bool  # captured splats are blended in display values, so that what they show is no sum
 
@@ -41,9 +40,8 @@ class Light:
         translucent = plan.translucent
         media = scene.world.fog is not None or (translucent is not None and translucent.media)
         trained = translucent is not None and translucent.trained
-        hair = plan.lines or (translucent is not None and translucent.strands)
         transmits = plan.panes and scene.materials.glass is not None
-        return cls(plan.indirect, transmits, hair, media, trained)
+        return cls(plan.indirect, transmits, media, trained)
 
 
 def light_passes(
@@ -66,18 +64,17 @@ def light_passes(
         return direct, whole - direct if light.bounces else zeros
 
     def transmitted() -> tuple[np.ndarray, np.ndarray]:
-        """The same of what is transmitted by hair, and of what is seen through glass."""
-        direct, indirect = parts(TRANSMISSION) if light.hair else (zeros, zeros)
+        """The same of what is seen through glass: all that is seen, less what is seen past it."""
         if not light.transmits:
-            return direct, indirect
+            return zeros, zeros
         names = (EMISSION,) if transparent else (EMISSION, ENVIRONMENT)
         shown = sum(term(name, through=True) - term(name) for name in names)
         rest = combined[..., :3] - sum(term(name, through=True) for name in names)
         own = sum(term(name) for name in (DIFFUSE, GLOSSY, *((VOLUME,) if light.media else ())))
-        return direct + shown, rest - own - direct
+        return shown, rest - own
 
     def color(name: str) -> np.ndarray:
-        if name == TRANSMISSION and not (light.hair or light.transmits):
+        if name == TRANSMISSION and not light.transmits:
             return zeros
         found = term(name, color=True)
         return np.where(found > LEAST_COLOR, found, np.float32(0))

@@ -141,6 +141,7 @@ class Renderer:
         found = light_passes(asked, light, result.pixels["combined"], scene.transparent, draw)
         seconds = time.perf_counter() - started
         report = {**result.report, "seconds": result.report["seconds"] + seconds}
+        report["skipped"] = [one for one in report["skipped"] if one["name"] != "light passes"]
         report["passes"] = [*report["passes"], {"name": "light passes", "ms": round(1000 * seconds, 3)}]
         return replace(result, pixels={**result.pixels, **found}, report=report)
 

@@ -168,7 +168,8 @@ PsStrand ps_strand(PsSurface surface, vec4 fibre, vec3 tangent, vec3 to_eye)
   strand.smoothest = hair ? smoothest : other;
   strand.spread = hair ? scale * scale : -1.0;
   strand.tilt = hair ? fibre.z : 0.0;
-#ifndef PS_SHOWS_TRANSMISSION
+#ifndef PS_SHOWS_GLOSSY
+  // All that hair scatters is glossy in Cycles.
   if (hair) {
     strand.dielectric = 0.0;
     strand.through = strand.again = strand.rest = strand.diffuse = strand.before = strand.behind = vec3(0.0);
@@ -252,8 +253,12 @@ vec3 ps_shade_strand(vec3 position, vec3 tangent, vec3 to_eye, PsSurface surface
 #if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT) || defined(PS_INDIRECT)
   PsStrand strand = ps_strand(surface, fibre, tangent, to_eye);
 #if defined(PS_TERM_COLOR)
-  result += strand.before + strand.behind;
-#elif defined(PS_SHOWS_SURFACES) || defined(PS_SHOWS_TRANSMISSION)
+#ifdef PS_SHOWS_GLOSSY
+  result += fibre.x > 0.5 ? surface.base : strand.before;
+#else
+  result += strand.before;
+#endif
+#elif defined(PS_SHOWS_SURFACES)
 #ifdef PS_HAS_LIGHTS
   ivec4 ends = ps_light_ends();
   for (int i = 0; i < light_count; i++) {

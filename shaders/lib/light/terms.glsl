@@ -10,9 +10,6 @@
 #if !defined(PS_TERM) || defined(PS_TERM_GLOSSY)
 #define PS_SHOWS_GLOSSY
 #endif
-#if !defined(PS_TERM) || defined(PS_TERM_TRANSMISSION)
-#define PS_SHOWS_TRANSMISSION
-#endif
 #if !defined(PS_TERM) || defined(PS_TERM_VOLUME)
 #define PS_SHOWS_VOLUME
 #endif

@@ -147,7 +147,15 @@ class Panes:
         """Writes the attributes of groups, and returns what passes them."""
         variant, scene, lattice = self._plan.variant, self._uploads.scene, self._buffer.lattice
         placed = placed_textures(
-            self._device, scene, cover.draws, variant, view, lattice, self._groups, leaders, translucent=True,
+            self._device,
+            scene,
+            cover.draws,
+            variant,
+            view,
+            lattice,
+            self._groups,
+            leaders,
+            translucent=True,
             term=self._plan.term,
         )
         through = placed.pop(THROUGH)

@@ -23,10 +23,10 @@ from ....core.surface.samples import Samples
 from ...device.protocol import CHANNELS, EMPTY, Device, Texture
 from ...passes.gbuffer import Variant
 from ...passes.grouping.groups import Groups, Leaders
+from ...passes.shading.terms import TRANSMISSION, Term
 from ...passes.uniforms import SampleView
 from ...passes.visibility.buffer import RASTERISED
 from ...passes.visibility.polygon_draw import Drawn
-from ...passes.shading.terms import TRANSMISSION, Term
 from ...passes.visibility.polygon_mesh import PLACED, THROUGH
 from ...shadow.panes import pane_shares
 

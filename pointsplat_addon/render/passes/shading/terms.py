@@ -15,7 +15,7 @@ class Term:
     What hides something hides it in each term: terms differ in radiance only.
     """
 
-    light: str  # how light leaves what the eye sees: one of the names above
+    light: str  # how light leaves what the eye sees: one of the names above; TRANSMISSION: only its colour
     color: bool = False  # how much of it would leave under light that is 1 everywhere; else the radiance
     through: bool = True  # seen through glass, too; else only through what alpha leaves open
 
@@ -33,4 +33,4 @@ class Term:
     @property
     def gathers(self) -> bool:
         """Whether light matters to it that surfaces receive from each other."""
-        return not self.color and self.light in (DIFFUSE, GLOSSY, TRANSMISSION)
+        return not self.color and self.light in (DIFFUSE, GLOSSY)

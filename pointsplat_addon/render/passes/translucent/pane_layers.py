@@ -33,7 +33,14 @@ def compose_program(places: bool, term: Term | None = None) -> Interface:
     """Returns the program that puts a layer behind those before it. `places`: the list of its groups is not in the
     order of the pixels. `term`: of light, that is drawn alone; what panes transmit is the colour of theirs."""
     transmitted = term is not None and term.color and term.light == TRANSMISSION
-    read = ("ps_light", "ps_hidden", "ps_starts", "ps_numbers", *(() if transmitted else ("ps_combined",)), "ps_through")
+    read = (
+        "ps_light",
+        "ps_hidden",
+        "ps_starts",
+        "ps_numbers",
+        *(() if transmitted else ("ps_combined",)),
+        "ps_through",
+    )
     return Interface(
         "compose", fragment="panes/layer.frag", block=COMPOSE,
         samplers=(*CODES, ("UINT_2D", "ps_depths"),
