@@ -21,7 +21,7 @@ from .passes.shading.terms import DIFFUSE, EMISSION, ENVIRONMENT, GLOSSY, TRANSM
 from .plan.plan import Plan
 
 Draw = Callable[[Term, bool], np.ndarray]  # a term, and whether without light that has bounced: (H, W, 3) float32
-LEAST_COLOR = 1e-6  # below it there is only what rounding leaves
+LEAST_COLOR = 2.5e-7  # below it there is only what rounding leaves of colours up to 1
 OF_SURFACES = {"diffuse": DIFFUSE, "glossy": GLOSSY, "transmission": TRANSMISSION}
 
 
