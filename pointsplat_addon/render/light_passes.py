@@ -4,8 +4,9 @@ Combined = (DiffDir + DiffInd) DiffCol + (GlossDir + GlossInd) GlossCol + (Trans
            + VolumeDir + VolumeInd + Emit + Env
 
 Each is made of pictures of terms of the light (passes/shading/terms.py), which are drawn as Combined is, with the same
-samples, so that the sum is exact. Direct is what has come from a lamp, an emitter or the world without a bounce between;
-Indirect is the rest. Where the film is transparent, Combined has no Env, which is the world all the same, as in Cycles.
+samples, so that the sum is exact. Direct is what has come from a lamp, an emitter or the world without a bounce
+between; Indirect is the rest. Where the film is transparent, Combined has no Env, which is the world all the same, as
+in Cycles.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ class Light:
     bounces: bool  # surfaces send each other light
     transmits: bool  # something is seen through glass
     media: bool  # something fills a volume
+    emits: bool  # something that is drawn emits light
     trained: bool  # captured splats are blended in display values, so that what they show is no sum
 
     @classmethod
@@ -41,7 +43,9 @@ class Light:
         media = scene.world.fog is not None or (translucent is not None and translucent.media)
         trained = translucent is not None and translucent.trained
         transmits = plan.panes and scene.materials.glass is not None
-        return cls(plan.indirect, transmits, media, trained)
+        glows = plan.variant.emission or "PS_HAS_GLOW" in plan.materials or scene.world.fog is not None
+        emits = glows or (translucent is not None and (translucent.emission or translucent.captured))
+        return cls(plan.indirect, transmits, media, emits, trained)
 
 
 def light_passes(
@@ -55,6 +59,8 @@ def light_passes(
 
     @cache
     def term(name: str, direct: bool = False, color: bool = False, through: bool = False) -> np.ndarray:
+        if name == EMISSION and not light.emits:
+            return zeros
         return draw(Term(name, color, through or not light.transmits), direct)
 
     def parts(name: str) -> tuple[np.ndarray, np.ndarray]:

@@ -11,8 +11,8 @@ from tests.support.blender.scenes import draw_beside_cycles, mesh_object, new_ma
 
 SIZE = 32, 32
 COLOR = (0.8, 0.5, 0.2, 1)
-# Inputs of a Principled BSDF, and the largest difference of any pass's mean from Cycles'. Measured: 0.0025, 0.0005, 0.0013,
-# 0.0025, 0.0025, in Glossy Direct, whose light is over a colour of 0.04; 0.0012 in Glossy Color of glass.
+# Inputs of a Principled BSDF, and the largest difference of any pass's mean from Cycles'. Measured: 0.0025, 0.0005,
+# 0.0013, 0.0025, 0.0025, in Glossy Direct, whose light is over a colour of 0.04; 0.0012 in Glossy Color of glass.
 SURFACES = {
     "plain": ({}, 0.003),
     "rough metal": ({"Metallic": 1.0, "Roughness": 0.4}, 0.001),

@@ -26,7 +26,7 @@
 #include "lib/light/area_lights.glsl"
 #include "lib/fog/fog.glsl"
 #include "lib/light/light_loop.glsl"
-#include "lib/light/medium.glsl"
+#include "lib/fog/medium.glsl"
 
 // Radiance towards the eye at a point in view space. normal and to_eye are unit; the normal is that of the side that is
 // seen. plane: the unit normal of the surface's plane, turned to the eye, where that is not `normal`; else (0, 0, 0).
