@@ -74,9 +74,9 @@ def light_passes(
         if not light.transmits:
             return zeros, zeros
         names = (EMISSION,) if transparent else (EMISSION, ENVIRONMENT)
-        shown = sum(term(name, through=True) - term(name) for name in names)
-        rest = combined[..., :3] - sum(term(name, through=True) for name in names)
-        own = sum(term(name) for name in (DIFFUSE, GLOSSY, *((VOLUME,) if light.media else ())))
+        shown = sum((term(name, through=True) - term(name) for name in names), zeros)
+        rest = combined[..., :3] - sum((term(name, through=True) for name in names), zeros)
+        own = sum((term(name) for name in (DIFFUSE, GLOSSY, *((VOLUME,) if light.media else ()))), zeros)
         return shown, rest - own
 
     def color(name: str) -> np.ndarray:

@@ -43,6 +43,7 @@ def scene_of(inputs, size=20.0):
     scene.world = bpy.data.worlds.new("sky")
     if scene.world.node_tree is None:
         scene.world.use_nodes = True
+    assert scene.world.node_tree is not None
     scene.world.node_tree.nodes["Background"].inputs[0].default_value = 0.2, 0.3, 0.4, 1
     scene.camera = linked(bpy.data.cameras.new("camera"))
     scene.camera.data.type, scene.camera.data.ortho_scale = "ORTHO", 2
