@@ -37,15 +37,15 @@ class Light:
     trained: bool  # captured splats are blended in display values, so that what they show is no sum
 
     @classmethod
-    def of(cls, plan: Plan, scene: Scene) -> Light:
-        """The light of a scene's plan."""
+    def of(cls, plan: Plan, scene: Scene, bounces: int) -> Light:
+        """The light of a scene's plan, which bounces so many times where it does."""
         translucent = plan.translucent
         media = scene.world.fog is not None or (translucent is not None and translucent.media)
         trained = translucent is not None and translucent.trained
         transmits = plan.panes and scene.materials.glass is not None
         glows = plan.variant.emission or "PS_HAS_GLOW" in plan.materials or scene.world.fog is not None
         emits = glows or (translucent is not None and (translucent.emission or translucent.captured))
-        return cls(plan.indirect, transmits, media, emits, trained)
+        return cls(plan.indirect and bounces > 0, transmits, media, emits, trained)
 
 
 def light_passes(

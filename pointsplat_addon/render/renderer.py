@@ -76,7 +76,7 @@ class Renderer:
             frame = Frame(self, scene, request, cancelled)
         except Cancelled:
             return Result({}, {}, cancelled=True)
-        light = Light.of(frame.frame_plan.plan, frame.frame_plan.scene)
+        light = Light.of(frame.frame_plan.plan, frame.frame_plan.scene, request.settings.bounces)
         if watch is not None:
             watch.ready(frame)
         try:
@@ -120,6 +120,9 @@ class Renderer:
     ) -> Result:
         """Returns the result with the passes of light that are `asked` for, of so many samples. Raises Cancelled."""
         started = time.perf_counter()
+        height, width = result.pixels["combined"].shape[:2]
+        # Some pictures have no parts: the first is all of them.
+        part = (0, 1) if result.drawn == ((0, 0, width, height),) else request.part
 
         def draw(term: Term, direct: bool) -> np.ndarray:
             name = term.light.lower()
@@ -128,7 +131,7 @@ class Renderer:
             settings = replace(settings, bounces=0 if direct else settings.bounces,
                                use_eye_dome=settings.use_eye_dome and not term.color)  # fmt: skip
             shown = replace(scene, transparent=scene.transparent and term.light != ENVIRONMENT)
-            asked = replace(request, settings=settings, passes=frozenset({"combined"}), term=term)
+            asked = replace(request, settings=settings, passes=frozenset({"combined"}), part=part, term=term)
             frame = Frame(self, shown, asked, cancelled)
             try:
                 while frame.done < samples and frame.sample():

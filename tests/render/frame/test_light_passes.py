@@ -99,6 +99,15 @@ def test_parts_have_the_pixels_of_the_whole():
                 np.testing.assert_array_equal(found.pixels[key][y:up, x:right], whole[key][y:up, x:right])
 
 
+def test_of_what_has_no_parts_the_first_has_all_pixels():
+    """Identities are ranked over the filter's support: only whole pictures have them."""
+    case, asked = with_settings("mixed", technique="VISIBILITY"), EVERY | {"crypto_object"}
+    whole = render(case, asked, 16).pixels
+    found = opengl().render(case.scene, replace(case.request(asked, 16), part=(0, 2))).pixels
+    for key in OF_LIGHT:
+        np.testing.assert_array_equal(found[key], whole[key])
+
+
 # What each pass holds
 
 SKY = np.array([0.3, 0.5, 0.7])
