@@ -7,6 +7,7 @@ import threading
 import time
 from concurrent.futures import Future, wait
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any
 
 import bpy
@@ -18,7 +19,7 @@ from ..core.scene import scene as scene_module
 from ..core.scene.settings import Settings
 from ..core.splat.pixel_radii import with_pixel_radii
 from ..render.device.protocol import DeviceError
-from ..render.passes.outputs import BY_KEY, CRYPTO, PASSES
+from ..render.passes.outputs import BY_KEY, CRYPTO, LIGHT_PASSES, PASSES, RenderPass
 from ..render.plan.request import Request, Result
 from ..render.renderer import Renderer
 from . import command_line, disk_cache, parts
@@ -53,7 +54,7 @@ class FinalRender:
         started = time.perf_counter()
         engine.update_stats("", "Converting the scene")
         disk_cache.refresh()
-        wanted = frozenset(p.key for p in PASSES if not p.switch or getattr(depsgraph.view_layer_eval, p.switch))
+        wanted = frozenset(p.key for p in _asked(depsgraph.view_layer_eval))
         previous = _previous(engine, depsgraph) if "vector" in wanted else None
         camera, warnings = _camera(engine, depsgraph)
         settings = depsgraph.scene_eval.pointsplat.settings()
@@ -217,11 +218,14 @@ def blender_name(key: str) -> str:
     return BY_KEY[stem].names[bpy.app.version >= (5, 0, 0)] + key.removeprefix(stem)
 
 
+def _asked(view_layer: bpy.types.ViewLayer) -> list[RenderPass]:
+    """The passes that the view layer's switches enable."""
+    return [p for p in (*PASSES, *LIGHT_PASSES) if not p.switch or attrgetter(p.switch)(view_layer)]
+
+
 def register_passes(engine: bpy.types.RenderEngine, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:
     """Register the passes that the view layer's switches enable."""
-    for p in PASSES:
-        if p.switch and not getattr(view_layer, p.switch):
-            continue
+    for p in _asked(view_layer):
         levels = range((view_layer.pass_cryptomatte_depth + 1) // 2) if p.key in CRYPTO else (None,)
         for level in levels:
             name = blender_name(p.key if level is None else f"{p.key}{level:02d}")

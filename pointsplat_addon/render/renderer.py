@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Set
+from dataclasses import replace
+
+import numpy as np
 
 from ..core.lod.cost import DEFAULT
 from ..core.scene.scene import Scene
@@ -16,6 +19,9 @@ from .device.protocol import Device
 from .frame.frame import Frame
 from .frame.report import report
 from .frame.targets import Pool
+from .light_passes import Light, light_passes
+from .passes.outputs import OF_LIGHT
+from .passes.shading.terms import ENVIRONMENT, Term
 from .plan.request import Request, Result
 
 SLOW_SECONDS = 0.2  # a sample that takes longer is asked after each of its passes whether it is still wanted
@@ -59,12 +65,18 @@ class Renderer:
         Unlike `render`, it leaves budgets to the caller, who may stop early through `watch`. DeviceError, ShaderError:
         the device cannot draw it. A cancelled picture has no pixels, and `cancelled` set.
         """
+        asked = request.passes & OF_LIGHT
+        if asked:
+            # All terms of the light have the same samples.
+            settings = replace(request.settings, use_adaptive_sampling=False)
+            request = replace(request, passes=request.passes - asked, settings=settings)
         started = time.perf_counter()
         progress(0.0, "Preparing points")
         try:
             frame = Frame(self, scene, request, cancelled)
         except Cancelled:
             return Result({}, {}, cancelled=True)
+        light = Light.of(frame.frame_plan.plan, frame.frame_plan.scene, request.settings.bounces)
         if watch is not None:
             watch.ready(frame)
         try:
@@ -83,11 +95,58 @@ class Renderer:
             pixels = frame.pixels()
             if watch is not None:
                 watch.finished()
-            return Result(pixels, report(frame, time.perf_counter() - started), drawn=frame.drawn)
+            result = Result(pixels, report(frame, time.perf_counter() - started), drawn=frame.drawn)
         except Cancelled:
             return Result({}, report(frame, time.perf_counter() - started), cancelled=True)
         finally:
             frame.release()
+        if asked:
+            try:
+                result = self._with_light(scene, request, asked, light, frame.done, result, progress, cancelled)
+            except Cancelled:
+                return Result({}, result.report, cancelled=True)
+        return result
+
+    def _with_light(
+        self,
+        scene: Scene,
+        request: Request,
+        asked: Set[str],
+        light: Light,
+        samples: int,
+        result: Result,
+        progress: Callable[[float, str], None],
+        cancelled: Callable[[], bool],
+    ) -> Result:
+        """Returns the result with the passes of light that are `asked` for, of so many samples. Raises Cancelled."""
+        started = time.perf_counter()
+        height, width = result.pixels["combined"].shape[:2]
+        # Some pictures have no parts: the first is all of them.
+        part = (0, 1) if result.drawn == ((0, 0, width, height),) else request.part
+
+        def draw(term: Term, direct: bool) -> np.ndarray:
+            name = term.light.lower()
+            progress(1.0, f"Light: {name} color" if term.color else f"Light: {name}")
+            settings = request.settings
+            settings = replace(settings, bounces=0 if direct else settings.bounces,
+                               use_eye_dome=settings.use_eye_dome and not term.color)  # fmt: skip
+            shown = replace(scene, transparent=scene.transparent and term.light != ENVIRONMENT)
+            asked = replace(request, settings=settings, passes=frozenset({"combined"}), part=part, term=term)
+            frame = Frame(self, shown, asked, cancelled)
+            try:
+                while frame.done < samples and frame.sample():
+                    frame.clock.settle()
+                    frame.clock.check()
+                return frame.mean()[..., :3]
+            finally:
+                frame.release()
+
+        found = light_passes(asked, light, result.pixels["combined"], scene.transparent, draw)
+        seconds = time.perf_counter() - started
+        report = {**result.report, "seconds": result.report["seconds"] + seconds}
+        report["skipped"] = [one for one in report["skipped"] if one["name"] != "light passes"]
+        report["passes"] = [*report["passes"], {"name": "light passes", "ms": round(1000 * seconds, 3)}]
+        return replace(result, pixels={**result.pixels, **found}, report=report)
 
     def start(self, scene: Scene, request: Request) -> Frame:
         """Returns a frame without samples; the caller draws them one by one and releases it."""

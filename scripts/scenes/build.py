@@ -37,7 +37,8 @@ def materials(count: int = 1, **columns) -> MaterialTable:
     )
 
 
-FIELDS = ("names", "graphs", "anisotropy", "translucent", "transmission_color", "media", "hair", "coat", "backlit")
+FIELDS = ("names", "graphs", "anisotropy", "translucent", "transmission_color", "glass", "media", "hair", "coat",
+          "backlit")  # fmt: skip
 
 
 def moved(offset: Vector = (0, 0, 0), scale: float | Vector = 1.0) -> np.ndarray:

@@ -82,6 +82,7 @@ def tinted_panes() -> Case:
         3, base_color=[[0.8, 0.8, 0.8], [0.0, 0.0, 0.0], [0.7, 0.6, 0.1]], alpha=[1.0, 0.0, 0.4],
         translucent=np.array([False, True, True]),
         transmission_color=np.array([[1, 1, 1], [0.9, 0.2, 0.1], [0.1, 0.4, 0.9]], np.float32),
+        glass=np.array([False, True, True]),
     )  # fmt: skip
     front, back = (replace(plane_mesh(f"tinted pane {row}", 0.7), materials=(row,)) for row in (1, 2))
     lamp = Light("POINT", np.full(3, 9.0), np.array([-0.5, -2.5, 1.5]), np.array([0.0, 1, 0]), radius=0.3)

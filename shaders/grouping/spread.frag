@@ -17,9 +17,6 @@ void ps_add(float weight, ivec2 texel)
 #ifdef PS_OUT_NORMAL
   out_normal_pass += weight * texelFetch(ps_normal_pass, texel, 0);
 #endif
-#ifdef PS_OUT_ALBEDO
-  out_albedo += weight * texelFetch(ps_albedo, texel, 0);
-#endif
 #ifdef PS_OUT_MIST
   out_mist += weight * texelFetch(ps_mist, texel, 0);
 #endif
@@ -35,9 +32,6 @@ void main()
 #endif
 #ifdef PS_OUT_NORMAL
   out_normal_pass = vec4(0.0);
-#endif
-#ifdef PS_OUT_ALBEDO
-  out_albedo = vec4(0.0);
 #endif
 #ifdef PS_OUT_MIST
   out_mist = vec4(0.0);

@@ -1,6 +1,6 @@
 // A layer of panes behind those before it, one texel a cell: render/passes/translucent/pane_layers.py. Texels of ps_numbers: of
 // sub-samples by their cells from the pixel's central one, which is in the middle; of ps_through: what passes each group, and
-// its alpha. PS_PLACES: groups are not listed in the order of their pixels.
+// its alpha; PS_TRANSMITTED, where the light is what glass lets through: whether it is glass. PS_PLACES: groups are not listed in the order of their pixels.
 
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/groups.glsl"
@@ -24,8 +24,13 @@ void main()
       ivec2 entry = ps_group_texel(int(texelFetch(ps_starts, pixel, 0).x) + int(group));
       vec4 through = texelFetch(ps_through, entry, 0);
       vec3 left = 1.0 - out_hidden.rgb;
+#ifdef PS_TRANSMITTED
+      out_light.rgb += left * through.w * through.rgb;
+      left *= (1.0 - through.w) * through.rgb;
+#else
       out_light.rgb += left * through.w * texelFetch(ps_combined, entry, 0).rgb;
       left *= through.rgb;
+#endif
       out_hidden.rgb = 1.0 - left;
       out_following = max(left.r, max(left.g, left.b)) < PS_CLOSED ? 0u : ~(depth + 1u);
     }

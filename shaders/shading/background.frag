@@ -53,9 +53,6 @@ void main()
 #ifdef PS_OUT_NORMAL
   out_normal_pass = vec4(0.0);
 #endif
-#ifdef PS_OUT_ALBEDO
-  out_albedo = vec4(0.0);
-#endif
 #ifdef PS_OUT_MIST
   out_mist = vec4(open);
 #endif

@@ -166,9 +166,6 @@ void main()
 #ifdef PS_OUT_NORMAL
   out_normal_pass = covered * vec4(mat3(u.world_from_view) * normal, 1.0);
 #endif
-#ifdef PS_OUT_ALBEDO
-  out_albedo = covered * vec4(surface.base * (1.0 - surface.metallic), 1.0);
-#endif
 #ifdef PS_OUT_MIST
   float d = ps_is_perspective() ? length(position) : -position.z;
   float mist = clamp((d - u.mist_start) * u.mist_scale, 0.0, 1.0);

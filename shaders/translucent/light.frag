@@ -253,8 +253,10 @@ void main()
     vec3 across = optics.z > 1.5 ? peak * PS_VOXEL_DEPTH * tint : vec3(0.0);
     source = ps_shade_medium(p, to_eye, texelFetch(ps_materials, ivec2(1, material), 0).w, surface.base, across, u.light_count);
   }
+#ifdef PS_SHOWS_EMISSION
   // What emits per unit of length has this radiance where it is opaque.
   source += medium ? emission / (strength * tint) : vec3(0.0);
+#endif
 #endif
   surface.emission = medium ? vec3(0.0) : emission;
   if (lit_as_surface) {

@@ -105,7 +105,8 @@ ORDERS = {
         "lens",
     ),
     "render": (
-        "device", "cache", "prepare", "shadow", "passes", "indirect", "plan", "frame", "budget", "renderer",
+        "device", "cache", "prepare", "shadow", "passes", "indirect", "plan", "frame", "budget", "light_passes",
+        "renderer",
     ),
 }  # fmt: skip
 MOST_FILES = 13  # of a folder: an outline of it fits a screen

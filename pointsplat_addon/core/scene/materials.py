@@ -55,6 +55,9 @@ class MaterialTable:
     translucent: np.ndarray | None = None
     # (M, 3) float32, 0 to 1: the light that passes, 1 - alpha, is multiplied by this; None: all 1
     transmission_color: np.ndarray | None = None
+    # (M,) bool: the light that passes is transmitted by glass, not left open by alpha, which only passes of light tell
+    # apart; None: nowhere
+    glass: np.ndarray | None = None
     media: tuple[Medium | None, ...] = ()  # what fills volumes of each material
     graphs: tuple[object | None, ...] = ()  # core.materials.Graph for materials whose inputs vary, else None
     hair: HairTable | None = None  # what strands of the materials are besides; None: none of them is hair

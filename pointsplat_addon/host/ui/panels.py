@@ -219,6 +219,25 @@ class POINTSPLAT_VIEWLAYER_PT_passes(_Panel, bpy.types.Panel):
                 column.prop(context.view_layer, p.switch)
 
 
+class POINTSPLAT_VIEWLAYER_PT_light_passes(_Panel, bpy.types.Panel):
+    bl_label = "Light"
+    bl_context = "view_layer"
+    bl_parent_id = "VIEWLAYER_PT_layer_passes"
+
+    def draw(self, context):
+        layout, view_layer = self.split_layout(), context.view_layer
+        for kind in ("Diffuse", "Glossy", "Transmission"):
+            column = layout.column(heading=kind, align=True)
+            for part in ("Direct", "Indirect", "Color"):
+                column.prop(view_layer, f"use_pass_{kind.lower()}_{part.lower()}", text=part)
+        column = layout.column(heading="Volume", align=True)
+        column.prop(view_layer.pointsplat, "use_pass_volume_direct", text="Direct")
+        column.prop(view_layer.pointsplat, "use_pass_volume_indirect", text="Indirect")
+        column = layout.column(heading="Other", align=True)
+        column.prop(view_layer, "use_pass_emit", text="Emission")
+        column.prop(view_layer, "use_pass_environment")
+
+
 class POINTSPLAT_DATA_PT_light_shadow(_Panel, bpy.types.Panel):
     bl_label = "Shadow"
     bl_context = "data"
@@ -320,6 +339,7 @@ CLASSES = (
     POINTSPLAT_RENDER_PT_performance,
     POINTSPLAT_RENDER_PT_last_render,
     POINTSPLAT_VIEWLAYER_PT_passes,
+    POINTSPLAT_VIEWLAYER_PT_light_passes,
     POINTSPLAT_DATA_PT_light_shadow,
     POINTSPLAT_OBJECT_PT_pointsplat,
     POINTSPLAT_OBJECT_PT_transfer,

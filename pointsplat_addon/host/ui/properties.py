@@ -192,14 +192,39 @@ class PointSplatObject(bpy.types.PropertyGroup):
     )
 
 
-CLASSES = (PointSplatScene, PointSplatObject)
+def update_passes(settings, _context) -> None:
+    """Register the passes of all view layers of a scene again."""
+    for view_layer in settings.id_data.view_layers:
+        view_layer.update_render_passes()
+
+
+class PointSplatViewLayer(bpy.types.PropertyGroup):
+    """Settings of a view layer: passes that Blender has no switch for."""
+
+    use_pass_volume_direct: BoolProperty(
+        name="Volume Direct",
+        description="Deliver the light that volumes scatter once",
+        default=False,
+        update=update_passes,
+    )
+    use_pass_volume_indirect: BoolProperty(
+        name="Volume Indirect",
+        description="Deliver the light that volumes scatter after others did",
+        default=False,
+        update=update_passes,
+    )
+
+
+CLASSES = (PointSplatScene, PointSplatObject, PointSplatViewLayer)
 
 
 def register() -> None:
     bpy.types.Scene.pointsplat = PointerProperty(type=PointSplatScene)
     bpy.types.Object.pointsplat = PointerProperty(type=PointSplatObject)
+    bpy.types.ViewLayer.pointsplat = PointerProperty(type=PointSplatViewLayer)
 
 
 def unregister() -> None:
+    del bpy.types.ViewLayer.pointsplat
     del bpy.types.Object.pointsplat
     del bpy.types.Scene.pointsplat

@@ -91,7 +91,7 @@ class OutOfFocus:
         assert tiles is not None
         program = defocus_program(
             self.plan.background_defines, self.transparent, self.plan.translucent.tint, self.plan.translucent.holdout,
-            adaptive is not None, tiles.tile,
+            adaptive is not None, tiles.tile, self.plan.term,
         )  # fmt: skip
         sharp = {"ps_focused": self.targets.sums[0], "ps_focus": self.targets.focus}
         textures = {**self.uploads.shading, **behind, **sharp}

@@ -69,6 +69,7 @@ class Shading:
             grouped=plan.sub_samples > 0,
             mattes=plan.matte_light.lit,
             trained=plan.translucent is not None and plan.translucent.trained,
+            term=plan.term,
         )
 
     @property

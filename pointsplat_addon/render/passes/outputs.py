@@ -19,7 +19,7 @@ class RenderPass:
     channels: int
     ids: str  # channel letters
     kind: str  # COLOR, VALUE or VECTOR
-    switch: str  # the view layer's property that asks for it; "": always
+    switch: str  # the property that asks for it, by its path from the view layer; "": always
     averaged: bool = True  # over the samples; else taken from the first one (at the pixel's centre)
 
 
@@ -30,7 +30,6 @@ PASSES = (
     RenderPass("position", ("Position", "Position"), 3, "XYZ", "VECTOR", "use_pass_position", averaged=False),
     RenderPass("normal", ("Normal", "Normal"), 3, "XYZ", "VECTOR", "use_pass_normal"),
     RenderPass("vector", ("Vector", "Vector"), 4, "XYZW", "VECTOR", "use_pass_vector", averaged=False),
-    RenderPass("albedo", ("DiffCol", "Diffuse Color"), 3, "RGB", "COLOR", "use_pass_diffuse_color"),
     RenderPass("object_index", ("IndexOB", "Object Index"), 1, "X", "VALUE", "use_pass_object_index", averaged=False),
     RenderPass(
         "material_index", ("IndexMA", "Material Index"), 1, "X", "VALUE", "use_pass_material_index", averaged=False
@@ -40,7 +39,30 @@ PASSES = (
         "crypto_material", ("CryptoMaterial", "CryptoMaterial"), 4, "RGBA", "COLOR", "use_pass_cryptomatte_material"
     ),
 )
-BY_KEY = {p.key: p for p in PASSES}
+
+
+def _of_light(key: str, short: str, long: str, switch: str = "") -> RenderPass:
+    return RenderPass(key, (short, long), 3, "RGB", "COLOR", switch or f"use_pass_{key}")
+
+
+# Each is a picture of its own: render/light_passes.py.
+LIGHT_PASSES = (
+    _of_light("diffuse_direct", "DiffDir", "Diffuse Direct"),
+    _of_light("diffuse_indirect", "DiffInd", "Diffuse Indirect"),
+    _of_light("diffuse_color", "DiffCol", "Diffuse Color"),
+    _of_light("glossy_direct", "GlossDir", "Glossy Direct"),
+    _of_light("glossy_indirect", "GlossInd", "Glossy Indirect"),
+    _of_light("glossy_color", "GlossCol", "Glossy Color"),
+    _of_light("transmission_direct", "TransDir", "Transmission Direct"),
+    _of_light("transmission_indirect", "TransInd", "Transmission Indirect"),
+    _of_light("transmission_color", "TransCol", "Transmission Color"),
+    _of_light("volume_direct", "VolumeDir", "Volume Direct", "pointsplat.use_pass_volume_direct"),
+    _of_light("volume_indirect", "VolumeInd", "Volume Indirect", "pointsplat.use_pass_volume_indirect"),
+    _of_light("emission", "Emit", "Emission", "use_pass_emit"),
+    _of_light("environment", "Env", "Environment"),
+)
+BY_KEY = {p.key: p for p in (*PASSES, *LIGHT_PASSES)}
+OF_LIGHT = frozenset(p.key for p in LIGHT_PASSES)
 CRYPTO = ("crypto_object", "crypto_material")  # each becomes ceil(levels / 2) passes with suffix 00, 01, ...
 BACKGROUND_DEPTH = 1e10  # Cycles' value where a ray meets nothing
 

@@ -29,6 +29,7 @@ from ..passes.output.adaptive import why_everywhere
 from ..passes.outputs import CRYPTO
 from ..passes.shading.averages import averaged
 from ..passes.shading.data import data
+from ..passes.shading.terms import ENVIRONMENT
 from ..prepare.captured import casting_on_captured, count_captured, lit_captured
 from ..prepare.in_view import without_invisible_layers
 from ..prepare.mattes import casting_on_mattes, with_mattes
@@ -88,7 +89,10 @@ class FramePlan:
     @property
     def world_color(self) -> np.ndarray:
         """(4,) float64: RGBA of pixels that show nothing but a world of one colour."""
-        return np.zeros(4) if self.scene.transparent else np.append(np.asarray(self.scene.world.color), 1.0)
+        if self.scene.transparent:
+            return np.zeros(4)
+        shown = self.plan.term is None or self.plan.term.light == ENVIRONMENT
+        return np.append(np.asarray(self.scene.world.color) * shown, 1.0)
 
     @property
     def splats(self) -> int:
@@ -197,7 +201,11 @@ def make_frame_plan(
     settings = replace(request.settings, technique=technique.name)
     others = bool(prepared.translucent.point_sets)
     on_disk = NOWHERE if presented else store.on_disk
-    shadows, unshadowed = _shadows(scene, prepared, replace(request, settings=settings), store, on_disk, clock, limits)
+    shadows, unshadowed = None, "no light is drawn on which they fall"
+    if request.term is None or request.term.lit:
+        shadows, unshadowed = _shadows(
+            scene, prepared, replace(request, settings=settings), store, on_disk, clock, limits
+        )
     captured_shadows, matte_shadows = _captured_shadows(
         scene, prepared, settings, store, on_disk, clock, limits, mattes
     )

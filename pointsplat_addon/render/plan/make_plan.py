@@ -21,6 +21,7 @@ from ..passes.gbuffer import Variant
 from ..passes.pages.point_page import PointOptions
 from ..passes.shading.averages import averaged
 from ..passes.shading.data import NEED_OWNER, data
+from ..passes.shading.terms import ENVIRONMENT, Term
 from ..passes.translucent.options import TranslucentOptions
 from ..passes.translucent.options import options as translucent_options
 from ..prepare.point_sets import Layer, PointSet
@@ -87,7 +88,9 @@ def make_plan(view: ViewToPlan) -> Plan:
     varies = attributes.surface or (translucent is not None and translucent.surface)
     lit = translucent is not None and not translucent.alone
     lighting = _lighting(view, varies, drawn=kinds.solid or lit)
-    normals = bool(lighting) or view.mattes or _indirect(view, kinds) or attributes.surface or "normal" in passes
+    indirect, term = _indirect(view, kinds), view.request.term
+    # All terms of the light of a picture see the same.
+    normals = bool(lighting) or view.mattes or indirect or attributes.surface or "normal" in passes
     variant, data_variant = _variants(view, kinds, attributes, normals)
     variant = replace(variant, spread=_spreads(view, kinds, variant))
     ewa = _ewa(view, kinds)
@@ -99,8 +102,8 @@ def make_plan(view: ViewToPlan) -> Plan:
         variant,
         data_variant,
         _point_options(view, kinds, normals, ewa),
-        lighting,
-        _materials(scene, varies),
+        _of_term(lighting, term, scene),
+        (*_materials(scene, varies), *(() if term is None else term.defines)),
         background=_background(view),
         data=_data(view, kinds),
         translucent=translucent,
@@ -115,11 +118,12 @@ def make_plan(view: ViewToPlan) -> Plan:
         defocus=view.defocus,
         captured_light=_captured_light(view),
         matte_light=_matte_light(view),
-        indirect=_indirect(view, kinds),
-        backdrop=not view.absences.blurred_world,
+        indirect=indirect and (term is None or term.gathers),
+        backdrop=not view.absences.blurred_world and _shows_world(term),
         picture=view.picture,
         shades=view.picture or bool(averaged(passes)),
         panes=view.picture and len(view.prepared.panes) > 0,
+        term=term,
     )
     return replace(plan, skipped=tuple(reasons(plan, passes, view.absences).items()))
 
@@ -258,6 +262,19 @@ def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
     return found + (() if view.shadows is None else _shadows(view.shadows))
 
 
+def _of_term(lighting: tuple[str, ...], term: Term | None, scene: Scene) -> tuple[str, ...]:
+    """The names of `lighting` that a term of the light needs."""
+    if term is None or term.lit:
+        return lighting
+    fog = () if scene.world.fog is None else ("PS_FOG",)
+    # Surfaces reflect a share of a world's light, of which no more is read.
+    return (*fog, "PS_HAS_WORLD") if lighting or term.color else ()
+
+
+def _shows_world(term: Term | None) -> bool:
+    return term is None or term.light == ENVIRONMENT
+
+
 def _indirect(view: ViewToPlan, kinds: _Kinds) -> bool:
     """Whether surfaces hide the world from each other, or send each other light."""
     scene, settings = view.scene, view.request.settings
@@ -336,6 +353,7 @@ def _translucent(view: ViewToPlan, kinds: _Kinds) -> TranslucentOptions | None:
         mattes=view.mattes and found.captured,
         depth=wanted and found.captured,
         trained=found.captured and not view.absences.trained,
+        term=view.request.term,
     )
 
 
@@ -383,9 +401,10 @@ def _world(scene: Scene) -> tuple[str, ...]:
 def _behind(view: ViewToPlan) -> tuple[str, ...]:
     """Names of the defines of what is behind everything: the world, and fog with the lights and shadows in it."""
     scene = view.scene
+    term = view.request.term
     if scene.world.fog is not None and view.picture:
-        return _lights_and_shadows(view, view.shadows)
-    return () if scene.transparent else _world(scene)
+        return _of_term(_lights_and_shadows(view, view.shadows), term, scene)
+    return () if scene.transparent or not _shows_world(term) else _world(scene)
 
 
 def _background(view: ViewToPlan) -> bool:

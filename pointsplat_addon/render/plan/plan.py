@@ -10,6 +10,7 @@ from ..passes.captured.project import UNLIT, CapturedLighting
 from ..passes.ewa.options import EwaOptions
 from ..passes.gbuffer import Variant
 from ..passes.pages.point_page import PointOptions
+from ..passes.shading.terms import Term
 from ..passes.translucent.options import TranslucentOptions
 
 
@@ -48,6 +49,7 @@ class Plan:
     matte_light: CapturedLighting = UNLIT  # what light does to mattes, where there are some
     indirect: bool = False  # surfaces receive light from each other, and hide the world
     panes: bool = False  # translucent meshes are layers of triangles, over what is opaque
+    term: Term | None = None  # the light that is drawn; None: all of it
     defocus: bool = False  # translucent splats are drawn together with what is out of focus: passes/defocus/gather.py
 
     @property

@@ -55,6 +55,7 @@ PASSES: dict[str, str] = {
     "add": "a sample with what is translucent to the sums",
     "eye dome": "pixels darkened by what lies in front of their neighbours",
     "adapt": "tiles whose samples agree are found",
+    "light passes": "terms of the light, each drawn as the picture is",
 }
 IMAGE_SPACE, BY_EWA = ("project", "resolve", "pull", "push"), ("splats", "visibility", "blend", "normalise")
 BY_BUFFER = ("cover", "group", "attributes", "spread")
@@ -77,6 +78,7 @@ LATE = {
     "captured": "an earlier picture of the same view has them",
     "reach": "what reaches them is known from an earlier picture",
     "occlusion": "there are few triangles, or few that others may hide",
+    "light passes": "no pass of light is asked for",
 }
 UNKNOWN = "no sample came so far"
 LINEAR = "linear blending is set"

@@ -10,6 +10,7 @@ from ...core.numeric.record import value_record
 from ...core.scene.camera import Camera
 from ...core.scene.settings import Settings
 from ...core.splat.blur import NODE_SIZE
+from ..passes.shading.terms import Term
 
 
 @value_record
@@ -18,7 +19,7 @@ class Request:
 
     camera: Camera
     settings: Settings
-    passes: frozenset[str]  # keys of outputs.PASSES; combined is always there
+    passes: frozenset[str]  # keys of outputs.PASSES and LIGHT_PASSES; combined is always there
     samples: int
     crypto_levels: int = 6
     interactive: bool = False  # drawn repeatedly and at once: see render/prepare/prepare.py
@@ -28,6 +29,7 @@ class Request:
     node: float = NODE_SIZE
     # (k, n): of the picture's tiles the k-th of n parts is drawn, from 0; all n together are the picture, to the bit.
     part: tuple[int, int] = (0, 1)
+    term: Term | None = None  # Combined is this term of the light alone; None: all of it
 
 
 @value_record

@@ -107,8 +107,12 @@ vec3 ps_airlight_of(int index, ivec4 ends, PsFogRay ray, float jitter)
 vec3 ps_airlight(vec3 origin, vec3 direction, float far, float jitter, int light_count)
 {
   vec3 extinction = ps_fog_texel(0).rgb;
+#ifdef PS_SHOWS_EMISSION
   vec3 result = ps_fog_texel(2).rgb * (1.0 - exp(-extinction * far)) / max(extinction, vec3(1e-20));
-#ifdef PS_HAS_LAMPS
+#else
+  vec3 result = vec3(0.0);
+#endif
+#if defined(PS_HAS_LAMPS) && defined(PS_SHOWS_VOLUME)
   float least = min(extinction.r, min(extinction.g, extinction.b));
   PsFogRay ray = PsFogRay(origin, direction, min(far, min(PS_FOG_DEEPEST / max(least, 1e-20), PS_FOG_FARTHEST)));
   vec3 scattering = ps_fog_texel(1).rgb;

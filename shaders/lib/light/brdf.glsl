@@ -3,6 +3,8 @@
 // Reference and sources: core/light/bsdf.py. Reads ps_lights (rows 0 .. PS_TABLE_ROWS: the reflectance table).
 // PS_HAS_METAL: something is metallic. PS_ONE_SURFACE: nothing is, and roughness and eta are those of the whole scene.
 
+#include "lib/light/terms.glsl"
+
 #define PS_PI 3.14159265358979
 #define PS_TABLE_WIDTH 32
 #define PS_TABLE_ROWS 32
@@ -174,6 +176,22 @@ PsLobes ps_lobes(PsSurface surface, vec3 normal, vec3 plane, vec3 to_eye)
 #endif
   return lobes;
 }
+
+#ifdef PS_TERM
+
+// Leaves of the lobes what belongs to the term of light that is shaded.
+void ps_keep_term(inout PsLobes lobes)
+{
+#ifndef PS_SHOWS_DIFFUSE
+  lobes.diffuse = vec3(0.0);
+#endif
+#ifndef PS_SHOWS_GLOSSY
+  lobes.reflectance = lobes.metal_scale = vec3(0.0);
+  lobes.dielectric_scale = 0.0;
+#endif
+}
+
+#endif
 
 #ifdef PS_BACKLIT
 

@@ -68,7 +68,9 @@ vec3 ps_environment_radiance(vec3 direction_image, float roughness)
 // Radiance of the world itself along a ray in view space.
 vec3 ps_background(vec3 direction)
 {
-#if defined(PS_HAS_ENVIRONMENT)
+#if !defined(PS_SHOWS_ENVIRONMENT)
+  return vec3(0.0);
+#elif defined(PS_HAS_ENVIRONMENT)
   return ps_environment_level(ps_uv_from_direction(ps_image_from_view(direction)), 0);
 #elif defined(PS_HAS_WORLD)
   return texelFetch(ps_lights, ivec2(0, PS_WORLD_ROW), 0).rgb;

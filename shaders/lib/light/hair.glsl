@@ -134,11 +134,22 @@ PsStrand ps_strand(PsSurface surface, vec4 fibre, vec3 tangent, vec3 to_eye)
   vec3 f0 = clamp(surface.base, 0.0, 1.0);
   vec3 diffuse = (1.0 - metallic) * (1.0 - reflected) * max(surface.base, 0.0);
   vec3 mirrored = (1.0 - metallic) * reflected + metallic * (f0 + (1.0 - f0) * grazing);
+#ifndef PS_SHOWS_DIFFUSE
+  diffuse = vec3(0.0);
+#endif
+#ifndef PS_SHOWS_GLOSSY
+  mirrored = vec3(0.0);
+#endif
   int coded = int(fibre.w);
   vec3 lobes = vec3(coded & 255, (coded >> 8) & 255, coded >> 16) / 255.0;
   strand.mirror = f0;
+#ifdef PS_SHOWS_GLOSSY
   strand.metal = hair ? 0.0 : metallic;
   strand.dielectric = hair ? lobes.x : 1.0 - metallic;
+#else
+  strand.metal = 0.0;
+  strand.dielectric = hair ? lobes.x : 0.0;
+#endif
   strand.eta = eta;
   through *= lobes.y;
   again *= lobes.z;
@@ -157,6 +168,13 @@ PsStrand ps_strand(PsSurface surface, vec4 fibre, vec3 tangent, vec3 to_eye)
   strand.smoothest = hair ? smoothest : other;
   strand.spread = hair ? scale * scale : -1.0;
   strand.tilt = hair ? fibre.z : 0.0;
+#ifndef PS_SHOWS_GLOSSY
+  // All that hair scatters is glossy in Cycles.
+  if (hair) {
+    strand.dielectric = 0.0;
+    strand.through = strand.again = strand.rest = strand.diffuse = strand.before = strand.behind = vec3(0.0);
+  }
+#endif
   return strand;
 }
 
@@ -227,9 +245,20 @@ float ps_light_spread(int index, ivec4 ends, vec3 position)
 // Radiance towards the eye of a strand, in view space; vectors are unit.
 vec3 ps_shade_strand(vec3 position, vec3 tangent, vec3 to_eye, PsSurface surface, vec4 fibre, int light_count)
 {
+#ifdef PS_SHOWS_EMISSION
   vec3 result = surface.emission;
+#else
+  vec3 result = vec3(0.0);
+#endif
 #if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT) || defined(PS_INDIRECT)
   PsStrand strand = ps_strand(surface, fibre, tangent, to_eye);
+#if defined(PS_TERM_COLOR)
+#ifdef PS_SHOWS_GLOSSY
+  result += fibre.x > 0.5 ? surface.base : strand.before;
+#else
+  result += strand.before;
+#endif
+#elif defined(PS_SHOWS_SURFACES)
 #ifdef PS_HAS_LIGHTS
   ivec4 ends = ps_light_ends();
   for (int i = 0; i < light_count; i++) {
@@ -242,6 +271,7 @@ vec3 ps_shade_strand(vec3 position, vec3 tangent, vec3 to_eye, PsSurface surface
 #endif
   vec3 facing = normalize(strand.across + 1e-9 * to_eye);
   result += ps_world_around(facing) * strand.before + ps_world_around(-facing) * strand.behind;
+#endif
 #endif
   return result;
 }

@@ -26,14 +26,18 @@
 #include "lib/light/area_lights.glsl"
 #include "lib/fog/fog.glsl"
 #include "lib/light/light_loop.glsl"
-#include "lib/light/medium.glsl"
+#include "lib/fog/medium.glsl"
 
 // Radiance towards the eye at a point in view space. normal and to_eye are unit; the normal is that of the side that is
 // seen. plane: the unit normal of the surface's plane, turned to the eye, where that is not `normal`; else (0, 0, 0).
 // light_count: how many rows of lights ps_lights holds.
 vec3 ps_shade(vec3 position, vec3 normal, vec3 plane, vec3 to_eye, PsSurface surface, int light_count)
 {
+#ifdef PS_SHOWS_EMISSION
   vec3 result = surface.emission;
+#else
+  vec3 result = vec3(0.0);
+#endif
 #if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT) || defined(PS_INDIRECT)
   PsLobes lobes = ps_lobes(surface, normal, plane, to_eye);
 #ifdef PS_COAT
@@ -45,6 +49,20 @@ vec3 ps_shade(vec3 position, vec3 normal, vec3 plane, vec3 to_eye, PsSurface sur
   vec3 left = ps_below_coat(ps_coated);
   lobes = ps_covered_lobes(lobes, left);
   result *= left;
+#ifdef PS_TERM
+  ps_keep_term(ps_coated);
+#endif
+#endif
+#ifdef PS_TERM
+  ps_keep_term(lobes);
+#endif
+#if defined(PS_TERM_COLOR)
+#ifdef PS_COAT
+  result += ps_coated.reflectance;
+#endif
+  result += lobes.diffuse + lobes.reflectance;
+#elif defined(PS_SHOWS_SURFACES)
+#ifdef PS_COAT
   result += ps_shade_world(ps_coated);
 #endif
 #ifdef PS_BACKLIT
@@ -55,6 +73,7 @@ vec3 ps_shade(vec3 position, vec3 normal, vec3 plane, vec3 to_eye, PsSurface sur
   result += ps_shade_lights(position, lobes, light_count);
 #endif
   result += ps_shade_world(lobes);
+#endif
 #endif
   return result;
 }

@@ -69,11 +69,10 @@ def test_polygons_are_where_the_reference_has_them(name):
     assert error.max() < 2e-6  # measured 6e-7
     assert np.abs(result.pixels["position"] - expected.position)[seen].max() < 1e-5  # measured 2.3e-6
     assert np.abs(result.pixels["normal"] - expected.normal).max() < 1e-3  # measured 2.9e-4: 24 bits, and half floats
-    assert np.abs(result.pixels["albedo"] - expected.albedo).max() < 1e-6  # measured 0
     assert np.abs(result.pixels["combined"] - expected.combined).max() < 1e-3  # measured 1.7e-4
     np.testing.assert_array_equal(flat(result, "object_index")[seen], expected.instance[seen] + 1)
     np.testing.assert_array_equal(flat(result, "material_index")[seen], expected.material[seen] + 10)
-    for name in ("object_index", "material_index", "albedo", "normal", "position"):
+    for name in ("object_index", "material_index", "normal", "position"):
         assert not result.pixels[name][~seen].any()
 
 
@@ -337,7 +336,7 @@ def test_many_samples_are_the_mean_of_single_ones(name):
     """A sample `o` pixels beside the centre is a picture whose camera is shifted by `o` pixels."""
     case, samples = CASES[name](), 16
     case = replace(case, settings=replace(case.settings, use_adaptive_sampling=False))
-    passes = frozenset({"combined", "normal", "albedo", "mist"})
+    passes = frozenset({"combined", "normal", "mist"})
     together = render(case, passes, samples).pixels
     single = []
     for x, y in offsets(samples):

@@ -81,7 +81,7 @@ def test_what_hides_less_than_half_has_none():
 
 
 def test_other_passes_have_what_is_opaque_alone():
-    names = ("normal", "position", "object_index", "material_index", "crypto_object", "mist", "albedo")
+    names = ("normal", "position", "object_index", "material_index", "crypto_object", "mist")
     splats = captured("other passes", random_splats(300, 0, size=0.1)), moved()
     cube = build.mesh(meshes.cube_mesh("cube among passes", 0.5), "POLYGONS"), moved()
     found, alone = pixels(cube, splats, passes=names), pixels(cube, passes=names)

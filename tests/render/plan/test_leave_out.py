@@ -133,7 +133,7 @@ EXPECTED = {
     "painter among polygons": "order opaque+depth polygons " + SEEN + BLENDED,
     "painter among polygons, normal and depth": "order opaque+depth polygons data averages " + IMAGE + SEEN + BLENDED,
     "points, depth and position": "data " + IMAGE + SEEN,
-    "points, normal and colour": IMAGE + SEEN,
+    "points, normal": IMAGE + SEEN,
     "points, mist": IMAGE + SEEN,
     "points, mist, transparent film": IMAGE + SEEN,
     "points, indices": "data " + IMAGE + SEEN,
@@ -156,6 +156,7 @@ EXPECTED = {
     "points and polygons, samples of the lens": "polygons " + IMAGE + SEEN,
     "environment picture, out of focus": "backdrop background",
     "points in focus in an environment picture": "backdrop " + IMAGE + SEEN,
+    "visibility buffer, a cube, passes of light": "polygons background light+passes " + GROUPED,
     "nothing, every pass": "",
     "points and polygons, every pass": "polygons data " + IMAGE + SEEN,
 }

@@ -113,7 +113,7 @@ def test_attributes_cost_textures_only_where_they_vary(name, on):
 @pytest.mark.parametrize("name", ["plain_sphere", "cube", "mixed"])
 def test_owners_are_kept_only_for_passes_that_ask_whose_a_pixel_is(name):
     for passes, asked in (
-        ({"depth", "position", "normal", "albedo", "mist"}, False),
+        ({"depth", "position", "normal", "mist"}, False),
         ({"object_index"}, True),
         ({"crypto_object"}, True),
         ({"vector"}, True),
@@ -138,7 +138,7 @@ def test_passes_that_nobody_asks_for_have_no_outputs():
     plain, _ = record(solid_cases.mixed())
     full, _ = record(solid_cases.mixed(), ALL_PASSES)
     outputs = [{name for i in device.interfaces for _, name in i.outputs} for device in (plain, full)]
-    extra = {"out_normal_pass", "out_albedo", "out_mist", "out_position", "out_index", "out_vector"}
+    extra = {"out_normal_pass", "out_mist", "out_position", "out_index", "out_vector"}
     assert not extra & outputs[0]
     assert extra <= outputs[1]
     assert "data" not in plain.names

@@ -50,9 +50,9 @@ SPLIT = [("split_mesh", 64), pytest.param("split_mesh", 512, marks=pytest.mark.l
 def test_averages_converge_to_those_of_whole_samples(name, samples):
     truth = render(by("IMAGE_SPACE", name), samples=samples).pixels
     found = render(by("VISIBILITY", name), samples=16 * MANY.count).pixels
-    for key, most in (("combined", 0.005), ("albedo", 0.004), ("normal", 0.01), ("mist", 0.004)):
+    for key, most in (("combined", 0.005), ("normal", 0.01), ("mist", 0.004)):
         error = np.sqrt(np.mean((found[key] - truth[key]) ** 2))
-        assert error < most, (key, error)  # measured at most 0.0043, 0.0026, 0.006, 0.0029
+        assert error < most, (key, error)  # measured at most 0.0043, 0.006, 0.0029
 
 
 @pytest.mark.parametrize("name", ["mixed", "wide_balls", "region", "moving"])

@@ -40,7 +40,7 @@ def start_gpu() -> None:
 
 
 Pictures = dict[str, np.ndarray]
-COLORS = ("combined", "normal", "albedo", "mist")
+COLORS = ("combined", "normal", "mist")
 IDENTITIES = ("object_index", "material_index")
 EDGES = 0.01  # of the pixels: those that an edge crosses within rounding
 

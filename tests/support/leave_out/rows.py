@@ -222,7 +222,7 @@ ROWS: dict[str, Row] = {
         lambda: with_settings(solid_cases.mixed(), technique="PAINTER"), COMBINED | {"normal", "depth"}
     ),
     "points, depth and position": Row(solid_cases.plain_sphere, COMBINED | {"depth", "position"}),
-    "points, normal and colour": Row(solid_cases.plain_sphere, COMBINED | {"normal", "albedo"}),
+    "points, normal": Row(solid_cases.plain_sphere, COMBINED | {"normal"}),
     "points, mist": Row(solid_cases.plain_sphere, COMBINED | {"mist"}),
     "points, mist, transparent film": Row(
         lambda: with_scene(solid_cases.plain_sphere(), transparent=True), COMBINED | {"mist"}
@@ -255,6 +255,10 @@ ROWS: dict[str, Row] = {
         lambda: replace(picture_only(), camera=replace(cameras.camera(), aperture=Aperture(0.3, 3.0))), samples=4
     ),
     "points in focus in an environment picture": Row(before_a_picture, samples=4),
+    "visibility buffer, a cube, passes of light": Row(
+        lambda: with_settings(solid_cases.cube(), technique="VISIBILITY"),
+        COMBINED | {"diffuse_direct", "diffuse_color", "environment"},
+    ),
     "nothing, every pass": Row(solid_cases.empty, ALL_PASSES),
     "points and polygons, every pass": Row(solid_cases.mixed, ALL_PASSES),
 }  # fmt: skip

@@ -60,6 +60,7 @@ class MaterialRow:
     name: str
     hash: int
     translucent: bool = False
+    glass: bool = False
     transmission_color: tuple[float, ...] | None = None
     medium: Medium | None = None
     hair: HairConstants | None = None
@@ -72,7 +73,7 @@ class MaterialRow:
         """Content key of all that affects how the material looks."""
         varying = "" if self.graph is None else self.graph.digest
         volume = None if self.medium is None else [np.asarray(v).tolist() for v in vars(self.medium).values()]
-        light = self.translucent, self.transmission_color
+        light = self.translucent, self.glass, self.transmission_color
         shown = sorted(self.constants.items()), varying, self.cull, light, volume, self.hair, self.coat, self.backlit
         text = repr((*shown, self.pass_index, self.name))
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
@@ -107,6 +108,7 @@ def convert_materials(
         names=tuple(row.name for row in rows),
         anisotropy=_column_or_none(np.float32, [row.medium.anisotropy if row.medium else 0 for row in rows]),
         translucent=_column_or_none(bool, [row.translucent for row in rows]),
+        glass=_column_or_none(bool, [row.glass for row in rows]),
         media=tuple(row.medium for row in rows),
         graphs=tuple(row.graph for row in rows),
         hair=_hair_columns(rows),
@@ -188,6 +190,7 @@ def convert_material(material: bpy.types.Material, placement: FindPlacement = no
         name=material.name,
         hash=cryptomatte_hash(material.name),
         translucent=translucent,
+        glass=translucent and tree.glass,
         transmission_color=passes if min(passes) < 1 else None,
         medium=None if output is None else read_medium(tree, output.inputs["Volume"]),
         hair=tree.hair,
@@ -233,7 +236,7 @@ def _material_surface(material: bpy.types.Material, output: bpy.types.Node | Non
         return read_surface(tree, output.inputs["Surface"], ())
     except UnsupportedNodeError as reason:
         # Other warnings of the tree no longer matter
-        tree.hair = None
+        tree.hair, tree.glass = None, False
         tree.warnings[:] = [f'Material "{material.name}": {reason}; its viewport colour is shown']
         return _viewport_surface(material)
 

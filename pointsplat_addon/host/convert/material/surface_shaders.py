@@ -59,6 +59,7 @@ def _principled(node: NodeReader) -> Surface:
     weight = math_nodes.Clamp(node["Transmission Weight"], ZERO, ONE)
     if is_constant(weight, 0):
         return faded(solid, node["Alpha"])
+    node.tree.glass = True
     # The metallic layer lies above the transmissive one, as in OpenPBR and Blender
     weight = multiply(weight, math_nodes.Math(ONE, solid.metallic, ZERO, "SUBTRACT"))
     # Light crosses two faces of a solid, hence the root
@@ -100,6 +101,7 @@ def _transparent(node: NodeReader) -> Surface:
 
 
 def _glass(node: NodeReader) -> Surface:
+    node.tree.glass = True
     reflects = node.node.bl_idname == "ShaderNodeBsdfGlass"
     like = Surface(
         roughness=node["Roughness"],

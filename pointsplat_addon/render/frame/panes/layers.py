@@ -147,7 +147,16 @@ class Panes:
         """Writes the attributes of groups, and returns what passes them."""
         variant, scene, lattice = self._plan.variant, self._uploads.scene, self._buffer.lattice
         placed = placed_textures(
-            self._device, scene, cover.draws, variant, view, lattice, self._groups, leaders, translucent=True
+            self._device,
+            scene,
+            cover.draws,
+            variant,
+            view,
+            lattice,
+            self._groups,
+            leaders,
+            translucent=True,
+            term=self._plan.term,
         )
         through = placed.pop(THROUGH)
         with ExitStack() as unfinished:
@@ -170,7 +179,7 @@ class Panes:
         self._run("shade", lambda: self._shading.shade_groups(view, surfaces, groups, self._buffer, target, received))
 
     def _compose(self, view: SampleView, textures: dict[str, Texture], target: Target) -> None:
-        program = compose_program(self._groups.places is not None)
+        program = compose_program(self._groups.places is not None, self._plan.term)
         bound = {**_listed(self._groups), **textures, "ps_numbers": self._numbers, "ps_depths": self._buffer.depths}
         record = view.record(COMPOSE, **self._buffer.values)
         self._device.draw(program, target, uniforms=record, textures=bound)

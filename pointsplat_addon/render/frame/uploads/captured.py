@@ -116,7 +116,7 @@ class CapturedUploads:
         """Whether one picture of the splats alone is drawn, which the same view can show again."""
         options = self._plan.translucent
         assert options is not None
-        read = bool(self._plan.captured_light) or options.depth
+        read = bool(self._plan.captured_light) or options.depth or options.term is not None
         return options.alone and not (options.opaque or options.holdout or self._varies or read)
 
     @property

@@ -23,6 +23,7 @@ from ....core.surface.samples import Samples
 from ...device.protocol import CHANNELS, EMPTY, Device, Texture
 from ...passes.gbuffer import Variant
 from ...passes.grouping.groups import Groups, Leaders
+from ...passes.shading.terms import TRANSMISSION, Term
 from ...passes.uniforms import SampleView
 from ...passes.visibility.buffer import RASTERISED
 from ...passes.visibility.polygon_draw import Drawn
@@ -43,10 +44,11 @@ def placed_textures(
     groups: Groups,
     leaders: Leaders,
     translucent: bool = False,
+    term: Term | None = None,
 ) -> dict[str, Texture]:
     """Returns what graphs are at the places that stand for groups, in textures as long as the list of these, by sampler
     name; those of PLACED that are needed. `translucent`: also THROUGH, of which the first three channels are the share
-    of light that passes, and the fourth is alpha. The caller releases them."""
+    of light that passes, and the fourth is alpha. `term`: of light, that is drawn alone. The caller releases them."""
     shown = [draw for draw in draws if translucent or any(group.placed for group in draw.groups)]
     if not shown:
         return {}
@@ -60,6 +62,7 @@ def placed_textures(
     formats = {name: PLACED[name] for name in names} | ({THROUGH: "RGBA32F"} if translucent else {})
     found = {name: np.zeros((texels, CHANNELS[format]), np.float32) for name, format in formats.items()}
     constants = pane_shares(scene.materials)
+    glass = np.zeros(texels if translucent else 0, bool)
     width = leaders.size[0] if leaders.central else view.size[0]
 
     def evaluate(draw: Drawn, mesh: Mesh, places: tuple[np.ndarray, ...], block: slice) -> None:
@@ -92,6 +95,8 @@ def placed_textures(
             material = draw.identify(number[mine] - draw.first_id)[:, 1]
             alpha = scene.materials.alpha[material]
             found[THROUGH][mine] = np.column_stack([np.broadcast_to(constants[material], (len(mine), 3)), alpha])
+            if scene.materials.glass is not None:
+                glass[mine] = scene.materials.glass[material]
             if not any(group.placed for group in draw.groups):
                 continue
         slot, triangle = draw.locate(number[mine] - draw.first_id)
@@ -105,6 +110,8 @@ def placed_textures(
                 own = own[np.isin(mesh.material[triangle[own]], materials)]
             places = slot[own], triangle[own], mine[own]
             each_block(len(own), partial(evaluate, draw, mesh, places), BLOCK)
+    if translucent and term is not None:
+        _only_term(found[THROUGH], glass, term)
     with ExitStack() as unfinished:
         textures: dict[str, Texture] = {}
         for name, values in found.items():
@@ -112,6 +119,14 @@ def placed_textures(
             unfinished.callback(textures[name].release)
         unfinished.pop_all()
     return textures
+
+
+def _only_term(through: np.ndarray, glass: np.ndarray, term: Term) -> None:
+    """Changes what passes (N, 4), and alpha, to what a term of light needs. `glass`: (N,) bool."""
+    if term.color and term.light == TRANSMISSION:
+        through[:, 3] = glass
+    elif not term.through:
+        through[glass, :3] = 0
 
 
 def footprints_in_view(

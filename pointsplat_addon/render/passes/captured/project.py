@@ -19,6 +19,7 @@ from ..shading.lighting import (
     lighting_samplers,
     looks_at_points,
 )
+from ..shading.terms import DIFFUSE, EMISSION
 from ..translucent.options import TranslucentOptions, lit_outputs
 from ..uniforms import CAMERA_FIELDS, Fields, block
 
@@ -69,7 +70,14 @@ def project_program(
     """Returns the program that projects the splats of one page. `sh_texels`, `sh_shift`: as of the page.
     `nodes`: they stand for many splats. `light`: what it does to them."""
     named = {"PS_ANTIALIASED": antialiased, "PS_AMONG_OPAQUE": options.fronts, "PS_HOLDOUT": options.holdout}
-    named |= {"PS_TINT": options.tint, "PS_NODES": nodes, "PS_TRAINED": options.trained, f"PS_{light.kind}": light.lit}
+    named |= {"PS_TINT": options.tint, "PS_NODES": nodes, "PS_TRAINED": options.trained}
+    term = options.term
+    if term is not None:
+        # Captured light is emitted; relit colours are what dull surfaces reflect.
+        relit = light.kind == "RELIT"
+        named["PS_DARK"] = term.light != (DIFFUSE if relit else EMISSION) or (term.color and not relit)
+        light = UNLIT if named["PS_DARK"] or term.color else light
+    named[f"PS_{light.kind}"] = light.lit
     lighting = light.names if light.lit else ()
     constants = {
         "PS_SH_TEXELS": sh_texels, "PS_SH_SHIFT": sh_shift, "PS_SH_MASK": (1 << sh_shift) - 1,

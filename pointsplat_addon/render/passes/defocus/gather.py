@@ -16,21 +16,29 @@ import numpy as np
 from ....shading.interface import Interface
 from ...device.packing import PAGE_WIDTH, paged
 from ...device.protocol import Device, Target, Texture, releases_on_failure
-from ..shading.background import world_block
+from ..shading.background import term_defines, world_block
 from ..shading.lighting import fog_defines, lighting_defines, lighting_samplers
+from ..shading.terms import Term
 from ..tiles import TILE_DEFINE
 from ..uniforms import LENS_FIELDS
 from .tile_lists import TileLists
 
 
 def defocus_program(
-    lighting: tuple[str, ...], transparent: bool, tint: bool, holdout: bool, adaptive: bool, tile: int
+    lighting: tuple[str, ...],
+    transparent: bool,
+    tint: bool,
+    holdout: bool,
+    adaptive: bool,
+    tile: int,
+    term: Term | None = None,
 ) -> Interface:
     """Returns the program that gathers the splats of each pixel's tile.
 
     lighting: defines of the lights that are used; without fog only those of the world matter. transparent: the film is
     transparent, so that no background is drawn. tint: splats transmit colours differently. holdout: some splats are
-    holdouts. adaptive: pixels differ in their number of samples. tile: pixels along a side of a tile.
+    holdouts. adaptive: pixels differ in their number of samples. tile: pixels along a side of a tile. term: of light,
+    that is drawn alone.
     """
     of_world = ("PS_HAS_WORLD", "PS_HAS_ENVIRONMENT", "PS_BACKDROP")
     world = lighting if "PS_FOG" in lighting else tuple(name for name in lighting if name in of_world)
@@ -54,6 +62,7 @@ def defocus_program(
             ("PS_TILE_SIZE", str(tile)),
             *((TILE_DEFINE,) if adaptive else ()),
             *((name, "1") for name, on in named.items() if on),
+            *((name, "1") for name in term_defines(world, term)),
         ),
     )
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from ..outputs import BY_KEY
 
-AVERAGED = {"normal": ("PS_OUT_NORMAL", "out_normal_pass"), "albedo": ("PS_OUT_ALBEDO", "out_albedo"),
-            "mist": ("PS_OUT_MIST", "out_mist")}  # fmt: skip
+AVERAGED = {"normal": ("PS_OUT_NORMAL", "out_normal_pass"), "mist": ("PS_OUT_MIST", "out_mist")}
 
 
 def averaged(passes: frozenset[str]) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from ....core.numeric.record import value_record
 from ....core.scene.cloud import PointCloud
 from ....core.scene.materials import MaterialTable
+from ..shading.terms import Term
 
 
 @value_record
@@ -32,6 +33,7 @@ class TranslucentOptions:
     nodes: bool = False  # and some are nodes that stand for many: core/lod/captured
     depth: bool = False  # the pass Depth asks for captured splats: passes/captured/half_depth.py
     trained: bool = False  # they are blended in display values, as training did, over the world alone
+    term: Term | None = None  # of light, that is drawn alone; None: all of it
     mattes: bool = False  # meshes stand for the surfaces of some captured splats
 
     @property

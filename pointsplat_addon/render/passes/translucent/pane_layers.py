@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from ....core.numeric.lattice import Lattice
 from ....shading.interface import Interface
+from ..shading.terms import TRANSMISSION, Term
 from ..uniforms import CAMERA_FIELDS, RECTANGLE_FIELDS, block
 from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS
 
@@ -28,15 +29,24 @@ def _listed(places: bool) -> tuple[tuple[str, str], ...]:
     return (LATTICE_DEFINE, *((("PS_PLACES", "1"),) if places else ()))
 
 
-def compose_program(places: bool) -> Interface:
+def compose_program(places: bool, term: Term | None = None) -> Interface:
     """Returns the program that puts a layer behind those before it. `places`: the list of its groups is not in the
-    order of the pixels."""
-    read = ("ps_light", "ps_hidden", "ps_starts", "ps_numbers", "ps_combined", "ps_through")
+    order of the pixels. `term`: of light, that is drawn alone; what panes transmit is the colour of theirs."""
+    transmitted = term is not None and term.color and term.light == TRANSMISSION
+    read = (
+        "ps_light",
+        "ps_hidden",
+        "ps_starts",
+        "ps_numbers",
+        *(() if transmitted else ("ps_combined",)),
+        "ps_through",
+    )
     return Interface(
         "compose", fragment="panes/layer.frag", block=COMPOSE,
         samplers=(*CODES, ("UINT_2D", "ps_depths"),
                   *(("FLOAT_2D", name) for name in (*read, *(("ps_places",) if places else ())))),
-        outputs=(("vec4", "out_light"), ("vec4", "out_hidden"), ("uint", "out_following")), defines=_listed(places),
+        outputs=(("vec4", "out_light"), ("vec4", "out_hidden"), ("uint", "out_following")),
+        defines=(*_listed(places), *((("PS_TRANSMITTED", "1"),) if transmitted else ())),
     )  # fmt: skip
 
 

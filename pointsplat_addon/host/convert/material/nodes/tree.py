@@ -62,6 +62,7 @@ class TreeReader:
         self.placement = placement
         self.warnings: list[str] = []
         self.hair: HairConstants | None = None  # set by a shader for strands
+        self.glass = False  # set by shaders that transmit light
         self._converters = converters
         self._warned: set[int] = set()
         self._known: dict[tuple, Outputs | None] = {}

@@ -66,6 +66,7 @@ vec3 ps_ambient()
 // direction that is cosh(d / 2), which it follows for larger depths.
 vec3 ps_shade_medium(vec3 position, vec3 to_eye, float g, vec3 albedo, vec3 across, int light_count)
 {
+#ifdef PS_SHOWS_VOLUME
   vec3 half_depth = 0.5 * min(across, vec3(PS_DEEPEST_PIECE)), steep = log(0.5 * (exp(half_depth) + exp(-half_depth))) / 3.0;
   vec3 result = ps_ambient();
 #ifdef PS_HAS_LIGHTS
@@ -79,4 +80,7 @@ vec3 ps_shade_medium(vec3 position, vec3 to_eye, float g, vec3 albedo, vec3 acro
   }
 #endif
   return albedo * result;
+#else
+  return vec3(0.0);
+#endif
 }
