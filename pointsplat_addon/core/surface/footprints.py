@@ -72,7 +72,7 @@ def over_footprints(
         graphs = {row: replace(graph, alpha=None, transmission_color=None) for row, graph in graphs.items()}
     seen, triangle = np.unique(samples.triangle, return_inverse=True)
     mesh = mesh.take(seen)
-    samples = Samples(samples.method, triangle.reshape(-1).astype(np.int32), samples.barycentric, samples.ellipse)
+    samples = replace(samples, triangle=triangle.reshape(-1).astype(np.int32))
 
     def at(rows: np.ndarray, places: np.ndarray, share: float) -> Look:
         return _at(mesh, take_samples(samples, rows), graphs, table, scale[rows], places, share, translucent)
@@ -147,6 +147,7 @@ def _at(
         np.tile(samples.triangle, len(places)),
         (samples.barycentric + moved).reshape(-1, 2).astype(np.float32),
         np.tile(np.float32(share) * samples.ellipse, (len(places), 1, 1)),
+        None if samples.object is None else np.tile(samples.object, len(places)),
     )
     look = at_places(mesh, whole, graphs, table, np.tile(scale, len(places)))
     named = {name: getattr(look, name) for name in ("color", "surface", "emission", "normal")}

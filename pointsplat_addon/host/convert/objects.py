@@ -65,6 +65,9 @@ class Source:
     scan: LinkedScan | None = None  # the file that the points stand for
     # Instead of the surface of a mesh, what fills it: lengths of the object's axes in world space; () else
     filled: tuple[float, ...] = ()
+    color: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)  # of the object in viewports, which materials may read
+    instancer: int = 0  # session_uid of the original object that made it; the owner's, if none did
+    values: dict[str, np.ndarray] = field(default_factory=dict)  # (C,) of its first instance, which materials read
     motion: float = 0.0  # of points: seconds of a frame, where a pass asks how they move
 
     @property
@@ -80,6 +83,7 @@ class Collected:
     sources: list[Source]
     source: np.ndarray  # (I,) int32, indices into sources
     world_from_object: np.ndarray  # (I, 4, 4) float64
+    number: np.ndarray  # (I,) int64, of instances in the dependency graph
     identity: list[tuple]  # of instances, persistent from frame to frame, for motion; empty unless asked for
     unsupported: dict[str, list[str]] = field(default_factory=dict)  # kind of object to names
 
@@ -157,7 +161,7 @@ def collect(
             if visible.catcher and ob.type != "MESH":
                 unsupported.setdefault("Shadow catchers without polygons", []).append(ob.name)
             elif (visible.drawn or visible.casts) and (view3d is None or ob.visible_in_viewport_get(view3d)):
-                source = _make_source(ob, view_layer.material_override, visible, instance.is_instance, clip)
+                source = _make_source(ob, parent, view_layer.material_override, visible, instance.is_instance, clip)
                 source.motion = motion
                 own = [source]
                 if scale and source.smoke is None and not source.matte and (medium := media[uid]) is not None:
@@ -181,11 +185,14 @@ def collect(
     # Blender stores columns one after another.
     world_from_object = matrices.reshape(-1, 4, 4)[instances].transpose(0, 2, 1).astype(np.float64)
     world_from_object[in_world_space] = np.eye(4)
-    return Collected(sources, np.array(rows, np.int32), world_from_object, identity, unsupported)
+    return Collected(
+        sources, np.array(rows, np.int32), world_from_object, np.array(instances, np.int64), identity, unsupported
+    )
 
 
 def _make_source(
     ob: bpy.types.Object,
+    parent: bpy.types.Object,
     override: bpy.types.Material | None,
     visible: Flags,
     generated: bool,
@@ -215,6 +222,8 @@ def _make_source(
         smoke=read_domain(ob) if ob.type == "MESH" else None,
         ribbons=ob.type == "CURVES" and ob.pointsplat.ribbons,
         filters=filters_of(ob),
+        color=tuple(ob.color),
+        instancer=parent.original.session_uid,
         lighting=ob.pointsplat.lighting if ob.type == "POINTCLOUD" else "CAPTURED",
         antialiased=ob.type == "POINTCLOUD" and bool(ob.original.get(ANTIALIASED, False)),
         clip=clip,
