@@ -14,6 +14,7 @@ from ....core.material.object_values import ATTRIBUTE, SPACE
 from ....core.scene.materials import MaterialTable
 from ....core.scene.scene import Geometry, Instances
 from ....core.surface.appearance import graphs_of
+from ....render.prepare.layers import MOST_PRIMITIVES
 from ..arrays import digest
 from ..objects import Collected
 
@@ -66,8 +67,9 @@ def on_objects(
 ) -> tuple[tuple[Geometry, ...], Instances]:
     """Gives meshes whose materials read the object the values of their first instance.
 
-    Instances that let another share of light through become geometries of their own, up to MOST_APART of them: what
-    casts their shadows does not know the instances of a mesh apart.
+    Instances become MOST_APART geometries where what draws them does not know the instances of a mesh apart: shadows,
+    of materials through which light passes by the object, and nodes, of instances with very many triangles. Of more
+    values, similar ones go together.
     """
     found, geometry = list(geometries), instances.geometry.copy()
     for row, (one, where) in enumerate(zip(geometries, instances.of_each(len(geometries)), strict=True)):
@@ -78,14 +80,16 @@ def on_objects(
         own = {name: instances.objects[name][where] for name in sorted(read)}
         through = [MaterialGraph(alpha=g.alpha, transmission_color=g.transmission_color) for g in graphs]
         names = sorted(frozenset().union(*(needs(graph).objects for graph in through)))
+        if len(where) * len(one.mesh.triangles) > MOST_PRIMITIVES:
+            names = sorted(read)
         first, which = np.zeros(1, np.int64), np.zeros(len(where), np.int64)
         if names:
             columns = np.concatenate([own[name] for name in names], axis=1)
             _, first, which = np.unique(columns, axis=0, return_index=True, return_inverse=True)
-            if len(first) > MOST_APART:
-                first, which = first[:1], np.zeros(len(where), np.int64)
+            which = which.reshape(-1) * min(MOST_APART, len(first)) // len(first)
+            _, first = np.unique(which, return_index=True)
         rows = np.append(row, len(found) + np.arange(len(first) - 1))
-        geometry[where] = rows[which.reshape(-1)]
+        geometry[where] = rows[which]
         found += [one] * (len(first) - 1)
         for at, k in zip(rows.tolist(), first.tolist(), strict=True):
             objects = {name: values[k : k + 1] for name, values in own.items()}

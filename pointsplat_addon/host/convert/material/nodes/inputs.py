@@ -43,7 +43,9 @@ def _texture_coordinates(node: NodeReader) -> Outputs:
         "UV": input_nodes.UV(),
     }
     other = node.node.object
-    out["Object"] = input_nodes.Coordinates("position") if other is None else in_space_of(node, other.session_uid)
+    out["Object"] = (
+        input_nodes.Coordinates("position") if other is None else in_space_of(node, other.original.session_uid)
+    )
     return out
 
 
