@@ -1,4 +1,7 @@
-"""The Geometry and Object Info nodes: the values of Cycles where one object shows a material. Several: test_object_values_cycles.py."""
+"""The Geometry and Object Info nodes: the values of Cycles where one object shows a material.
+
+Several objects: test_object_values_cycles.py.
+"""
 
 import numpy as np
 import pytest

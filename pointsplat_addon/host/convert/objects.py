@@ -71,6 +71,12 @@ class Source:
     motion: float = 0.0  # of points: seconds of a frame, where a pass asks how they move
 
     @property
+    def numbered(self) -> bool:
+        """Whether Blender chose its random number, which is not the hash of its name: that of what an instancer made,
+        as which the surface of a curve counts."""
+        return self.generated or isinstance(self.data, bpy.types.Curve)
+
+    @property
     def strands(self) -> bool:
         """Whether the source becomes strands."""
         return self.hair is not None or isinstance(self.data, bpy.types.Curves | bpy.types.Curve)
@@ -99,7 +105,7 @@ class Collected:
         if ob is None:
             return None
         rows = tuple(tuple(map(float, row)) for row in matrices[0][:3])
-        random = None if self.sources[found[0]].generated else name_number(ob.name)
+        random = None if self.sources[found[0]].numbered else name_number(ob.name)
         return Placement(rows, tuple(ob.color), ob.pass_index, random)
 
 
@@ -124,7 +130,7 @@ def collect(
     media: dict[int, bpy.types.Material | None] = {}  # materials that fill meshes, by session_uid
     render = depsgraph.scene_eval.render
     motion = render.fps_base / render.fps if identify else 0.0
-    tubes: set[int] = set()  # session_uids of curve objects that are drawn as tubes
+    tubes: dict[int, int] = {}  # session_uids of curve objects that are drawn as tubes, to the last instance's index
     count = 0
     for row, instance in enumerate(depsgraph.object_instances):
         count = row + 1
@@ -132,8 +138,10 @@ def collect(
         ob = instance.object
         uid, tube = ob.original.session_uid, ob.type == "CURVE" and has_round_bevel(ob)
         if tube:
-            tubes.add(uid)
+            tubes[uid] = -1
         elif ob.type == "MESH" and uid in tubes:
+            if tubes[uid] >= 0:
+                instances[tubes[uid]] = row  # which has the random number of what Cycles draws
             continue
         if ob.type not in GEOMETRY and not tube:
             if ob.type in UNSUPPORTED and instance.show_self:
@@ -177,6 +185,8 @@ def collect(
                 in_world_space.append(len(rows))
             instances.append(row)
             rows.append(source)
+            if tube:
+                tubes[uid] = len(rows) - 1
             if identify:
                 persistent = tuple(instance.persistent_id) if instance.is_instance else ()
                 identity.append((key[0], key[2], persistent, source - found.start))

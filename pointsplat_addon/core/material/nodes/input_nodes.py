@@ -83,7 +83,7 @@ class Coordinates(Source):
 
 @record
 class ObjectValue(Source):
-    """A value of the object that a sample lies on, (N, C), see core.material.object_values; zeros where it is unknown."""
+    """A value of the object that a sample lies on, (N, C), zeros if it is unknown. Its name: see object_values.py."""
 
     name: str
 

@@ -19,7 +19,7 @@ from ..arrays import digest
 from ..objects import Collected
 
 RowsOf = Callable[[bpy.types.Material | None], int]
-MOST_APART = 64  # geometries that one mesh becomes
+MOST_APART, MOST_NODES = 64, 16  # geometries that one mesh becomes, for its shadows and for nodes
 
 
 def values_of_instances(
@@ -67,7 +67,7 @@ def on_objects(
 ) -> tuple[tuple[Geometry, ...], Instances]:
     """Gives meshes whose materials read the object the values of their first instance.
 
-    Instances become MOST_APART geometries where what draws them does not know the instances of a mesh apart: shadows,
+    Instances become several geometries where what draws them does not know the instances of a mesh apart: shadows,
     of materials through which light passes by the object, and nodes, of instances with very many triangles. Of more
     values, similar ones go together.
     """
@@ -80,21 +80,23 @@ def on_objects(
         own = {name: instances.objects[name][where] for name in sorted(read)}
         through = [MaterialGraph(alpha=g.alpha, transmission_color=g.transmission_color) for g in graphs]
         names = sorted(frozenset().union(*(needs(graph).objects for graph in through)))
+        most = MOST_APART
         if len(where) * len(one.mesh.triangles) > MOST_PRIMITIVES:
-            names = sorted(read)
+            names, most = sorted(read), MOST_NODES
         first, which = np.zeros(1, np.int64), np.zeros(len(where), np.int64)
         if names:
             columns = np.concatenate([own[name] for name in names], axis=1)
             _, first, which = np.unique(columns, axis=0, return_index=True, return_inverse=True)
-            which = which.reshape(-1) * min(MOST_APART, len(first)) // len(first)
+            which = which.reshape(-1) * min(most, len(first)) // len(first)
             _, first = np.unique(which, return_index=True)
         rows = np.append(row, len(found) + np.arange(len(first) - 1))
         geometry[where] = rows[which]
         found += [one] * (len(first) - 1)
         for at, k in zip(rows.tolist(), first.tolist(), strict=True):
             objects = {name: values[k : k + 1] for name, values in own.items()}
-            key = f"{one.key} on {digest(*objects.values())}"
-            found[at] = replace(one, key=key, mesh=replace(one.mesh, objects=objects))
+            name = f" on {digest(*objects.values())}"
+            mesh = replace(one.mesh, key=one.mesh.key + name, objects=objects)
+            found[at] = replace(one, key=one.key + name, mesh=mesh)
     return tuple(found), replace(instances, geometry=geometry)
 
 
@@ -127,13 +129,13 @@ def _column(name: str, collected: Collected, depsgraph: bpy.types.Depsgraph) -> 
 def _random(collected: Collected, depsgraph: bpy.types.Depsgraph) -> np.ndarray:
     """(I, 1): the hash of the object's name, or the number that an instancer chose."""
     sources = collected.sources
-    own = np.array([0.0 if s.generated else name_number(s.name) for s in sources], np.float32)[collected.source]
-    generated = np.array([s.generated for s in sources], bool)[collected.source]
-    if generated.any():
+    own = np.array([0.0 if s.numbered else name_number(s.name) for s in sources], np.float32)[collected.source]
+    numbered = np.array([s.numbered for s in sources], bool)[collected.source]
+    if numbered.any():
         numbers = np.empty(len(depsgraph.object_instances), np.int32)
         depsgraph.object_instances.foreach_get("random_id", numbers)
         chosen = numbers[collected.number].view(np.uint32).astype(np.float32) / np.float32(0xFFFFFFFF)
-        own = np.where(generated, chosen, own)
+        own = np.where(numbered, chosen, own)
     return own[:, None]
 
 
