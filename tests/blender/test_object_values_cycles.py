@@ -173,8 +173,8 @@ def test_instances_of_particles_have_the_values_of_cycles(scene, tmp_path):
     settings.render_type, settings.instance_object, settings.particle_size = "OBJECT", inner, 1
     scene.frame_set(2)
     cycles, found = beside_cycles(scene, tmp_path)
-    inside = cycles > 0.5  # what one triangle covers alone, and the insides of overlaps
-    print("INSIDE", inside.mean(), np.median(np.abs(found - cycles)[inside]), np.abs(found.mean()-cycles.mean())/cycles.mean())
+    inside = found > 0.5  # triangles; they light their emitter in Cycles alone
+    assert inside.mean() > 0.05  # measured 0.0996
     assert np.median(np.abs(found - cycles)[inside]) < HALF_FLOATS
 
 
