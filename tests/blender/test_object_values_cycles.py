@@ -6,6 +6,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from pointsplat_addon.host.sync import Synchronizer
+from pointsplat_addon.render.plan.technique import shown_alike
 from tests.support.blender.scenes import draw_beside_cycles, mesh_object, new_material, node, picture, sync
 
 SQUARE = [(-0.4, -0.4, 0), (0.4, -0.4, 0), (0.4, 0.4, 0), (-0.4, 0.4, 0)]
@@ -60,10 +61,10 @@ def grid(data):
 
 
 def beside_cycles(scene, folder):
-    """What Cycles and PointSplat draw, (SIDE, PIXELS, SIDE, PIXELS, 3) each: pixels of the cells of objects."""
-    drawn = []
+    """What Cycles and PointSplat draw, (SIDE, P, SIDE, P, 3) each: P by P pixels of the cells of objects."""
+    drawn, pixels = [], scene.render.resolution_x // SIDE
     for scene.render.engine in ("CYCLES", "POINTSPLAT"):
-        cells = picture(scene, folder).astype(float).reshape(SIDE, PIXELS, SIDE, PIXELS, 4)[..., :3]
+        cells = picture(scene, folder).astype(float).reshape(SIDE, pixels, SIDE, pixels, 4)[..., :3]
         assert cells.mean(axis=(1, 3)).reshape(-1, 3).std(axis=0).max() > 0.01  # objects differ
         drawn.append(cells)
     return drawn
@@ -172,6 +173,7 @@ def test_instances_of_particles_have_the_values_of_cycles(scene, tmp_path):
     settings.count, settings.frame_start, settings.frame_end, settings.physics_type = 8, 1, 1, "NO"
     settings.render_type, settings.instance_object, settings.particle_size = "OBJECT", inner, 1
     scene.frame_set(2)
+    scene.render.resolution_x = scene.render.resolution_y = 32 * SIDE
     cycles, found = beside_cycles(scene, tmp_path)
     inside = found > 0.5  # triangles; they light their emitter in Cycles alone
     assert inside.mean() > 0.05  # measured 0.0996
@@ -237,6 +239,14 @@ def test_an_edit_is_seen_by_a_renderer_that_drew_before(scene, tmp_path):
     changed = (np.abs(first - second).max(axis=2) > 0.01).reshape(SIDE, PIXELS, SIDE, PIXELS).any(axis=(1, 3))
     assert changed[1, 1]
     assert changed.sum() == 1
+
+
+def test_techniques_that_show_instances_alike_say_so(scene):
+    grid(square(glow("ObjectInfo", "Random")))
+    made = sync()
+    assert not shown_alike(made, "VISIBILITY")
+    (warning,) = shown_alike(made, "EWA")
+    assert '"one ' in warning
 
 
 def test_what_reads_no_object_has_no_values(scene):
