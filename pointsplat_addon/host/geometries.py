@@ -110,7 +110,7 @@ class Geometries:
     ) -> tuple[scene.Geometry | None, tuple[Ellipses | PointCloud, ...], tuple[str, ...]]:
         """The geometry of a mesh, or of points; what it was made of; and warnings."""
         mesh = cloud = None
-        material = sample_material(table, rows[0], source.extinction)
+        material = sample_material(table, rows[0], source.extinction, source.values)
         parts: list[Ellipses | PointCloud] = []
         messages: tuple[str, ...] = ()
 
@@ -192,7 +192,7 @@ class Geometries:
         self, source: Source, rows: tuple[int, ...], table: MaterialTable
     ) -> tuple[scene.Geometry | None, conversion.ConvertedStrands | None, tuple[str, ...]]:
         """The geometry of strands, the conversion that it shares with others, and warnings."""
-        materials = tuple(sample_material(table, row) for row in rows)
+        materials = tuple(sample_material(table, row, values=source.values) for row in rows)
         if source.hair:
             control = particle_hair.read_hair(source.hair, materials)
         elif isinstance(source.data, bpy.types.Curve):
@@ -272,9 +272,10 @@ def _source_key(source: Source, rows: tuple[int, ...], table: MaterialTable) -> 
     if source.particles:
         key = (*key, source.particles.key)
     if source.particles or isinstance(source.data, bpy.types.PointCloud) or _is_loose_vertices(source):
-        key = (*key, sample_material(table, rows[0]).key)
+        key = (*key, sample_material(table, rows[0], values=source.values).key)
     if source.strands:
-        looks = tuple((sample_material(table, row).key, *table.base_color[row].tolist()) for row in rows)
+        materials = [sample_material(table, row, values=source.values) for row in rows]
+        looks = tuple((m.key, *m.base_color) for m in materials)
         # Evaluated curve data have no session_uid
         names = source.data.original.session_uid, source.owner, source.hair and source.hair.modifier.name
         key = (*key, *names, looks, source.ribbons)

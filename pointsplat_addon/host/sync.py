@@ -16,6 +16,7 @@ from ..core.scene.world import Mist
 from .convert.lights import convert_lights
 from .convert.material.materials import convert_materials
 from .convert.material.nodes.tree import Placement
+from .convert.material.object_values import give_to_sources, on_objects, shown_alike, values_of_instances
 from .convert.objects import Collected, Source, collect
 from .convert.world import convert_world
 from .geometries import Geometries
@@ -53,7 +54,9 @@ class Synchronizer:
         self._forget_changed(depsgraph)
         collected = collect(depsgraph, view3d, identify=previous is not None)
         table = self._table(collected)
-        geometries, instances = self._instances(collected, table, previous)
+        values = values_of_instances(collected, table, depsgraph)
+        give_to_sources(collected, values)
+        geometries, instances = self._instances(collected, table, previous, values)
         lights, light_warnings = convert_lights(depsgraph)
         world, world_warnings = convert_world(depsgraph)
         evaluated = depsgraph.scene_eval
@@ -71,6 +74,7 @@ class Synchronizer:
                 warnings=(
                     *_unsupported(collected.unsupported),
                     *self._translucent_polygons(collected.sources, table),
+                    *_alike(shown_alike(collected, values, table, self._cache.row)),
                     *self._geometries.warnings(),
                     *self._material_warnings,
                     *light_warnings,
@@ -127,7 +131,11 @@ class Synchronizer:
         return [f"Translucent surfaces are drawn as points, not as polygons: {_named(names)}"]
 
     def _instances(
-        self, collected: Collected, table: MaterialTable, previous: dict[tuple, np.ndarray] | None
+        self,
+        collected: Collected,
+        table: MaterialTable,
+        previous: dict[tuple, np.ndarray] | None,
+        values: dict[str, np.ndarray],
     ) -> tuple[tuple[scene.Geometry, ...], scene.Instances]:
         """The distinct geometries, and the instances of those that have something to draw."""
         sources = collected.sources
@@ -142,7 +150,7 @@ class Synchronizer:
         if previous is not None:
             identity = [i for i, use in zip(collected.identity, drawn, strict=True) if use]
             before = np.array([previous.get(i, m) for i, m in zip(identity, world_from_object, strict=True)])
-        return tuple(unique.values()), scene.Instances(
+        instances = scene.Instances(
             geometry=geometry[drawn],
             world_from_object=world_from_object,
             previous=None if before is None else before.reshape(-1, 4, 4),
@@ -153,12 +161,19 @@ class Synchronizer:
             seen=_flags([s.seen for s in sources], source),
             matte=np.array([s.matte for s in sources], bool)[source] if any(s.matte for s in sources) else None,
             names=tuple([sources[i].name for i in source]),
+            objects={name: column[drawn] for name, column in values.items()},
         )
+        return on_objects(tuple(unique.values()), instances, table) if values else (tuple(unique.values()), instances)
 
 
 def _flags(values: list[bool], source: np.ndarray) -> np.ndarray | None:
     """(I,) bool: those of the sources (I,) of instances; None: all are set."""
     return None if all(values) else np.array(values, bool)[source]
+
+
+def _alike(names: list[str]) -> list[str]:
+    """A warning that names objects whose instances look as the first does."""
+    return [f"Instances of points and strands look as the first of them: {_named(names)}"] if names else []
 
 
 def _unsupported(kinds: dict[str, list[str]]) -> list[str]:

@@ -1,4 +1,7 @@
-"""The Geometry and Object Info nodes: the values of Cycles where one object shows a material, else a warning."""
+"""The Geometry and Object Info nodes: the values of Cycles where one object shows a material.
+
+Several objects: test_object_values_cycles.py.
+"""
 
 import numpy as np
 import pytest
@@ -11,7 +14,7 @@ from tests.support.blender.scenes import draw_beside_cycles, mesh_object, new_ma
 OUTPUTS = [
     ("NewGeometry", "Position"),
     ("NewGeometry", "Normal"),
-    *(("ObjectInfo", name) for name in ("Location", "Color", "Alpha", "Object Index", "Random")),
+    *(("ObjectInfo", name) for name in ("Location", "Color", "Alpha", "Object Index", "Material Index", "Random")),
 ]
 
 
@@ -51,6 +54,7 @@ def scene(empty_file):
 def test_one_object_has_the_values_of_cycles(scene, tmp_path, kind, output):
     shown = square()
     shown.data.materials.append(material(kind, output))
+    shown.data.materials[0].pass_index = 2
     drawn = []
     for scene.render.engine in ("CYCLES", "POINTSPLAT"):
         drawn.append(picture(scene, tmp_path)[..., :3])
@@ -68,16 +72,3 @@ def test_an_object_that_moves_has_another_position(scene):
         emissions.append(next(graph for graph in table.graphs if graph is not None).digest)
     assert emissions[0] == emissions[1]
     assert emissions[1] != emissions[2]
-
-
-@pytest.mark.parametrize("kind", ["NewGeometry", "ObjectInfo"])
-def test_several_objects_with_a_material_have_a_warning(scene, kind):
-    shared = material(kind, "Position" if kind == "NewGeometry" else "Color")
-    for name in ("first", "second"):
-        shown = square(name)
-        shown.location.x = len(name)
-        shown.data.materials.append(shared)
-    warnings = sync().warnings
-    assert len(warnings) == 1
-    assert shared.name in warnings[0]
-    assert "several" in warnings[0]

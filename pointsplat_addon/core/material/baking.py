@@ -140,7 +140,7 @@ def bakeable(graph: MaterialGraph, unit_square: bool = False, active_uv: str | N
     object_normals = any(isinstance(n, NormalMap) and n.uv is None for n in nodes)
     object_normals |= any(isinstance(n, Bump) for n in walk(split_bumps(graph.normal)[0]))  # below mixtures of normals
     maps = {active_uv if name is None else name for name in wanted.uv}
-    if len(maps) != 1 or wanted.colors or wanted.position or wanted.generated or object_normals:
+    if len(maps) != 1 or wanted.colors or wanted.position or wanted.generated or wanted.objects or object_normals:
         return False
     if any(isinstance(n, Coordinates) for n in nodes if not _is_own_normal(n, nodes)):
         return False

@@ -34,6 +34,8 @@ class SampleInputs:
     normal: np.ndarray | None = None  # (N, 3), unit, object space
     tangent: np.ndarray | None = None  # (N, 3), unit, object space, along growing u of the map that is asked for
     bitangent_sign: np.ndarray | None = None  # (N,), bitangent = sign * normal x tangent; None: 1
+    # Values of the objects that the samples lie on, by name, (N, C), or (1, C) where one object holds all of them
+    objects: dict[str, np.ndarray] = field(default_factory=dict)
     count: int | None = None  # N; None: the length of any array given
     # The inputs at the ends of two conjugate half-diameters of each sample's splat: images are filtered that wide
     displaced: tuple[SampleInputs, SampleInputs] | None = None
@@ -69,6 +71,7 @@ class SampleInputs:
             self,
             uv={name: array[part] for name, array in self.uv.items()},
             colors={name: array[part] for name, array in self.colors.items()},
+            objects={name: array if len(array) == 1 else array[part] for name, array in self.objects.items()},
             count=count,
             displaced=_take(self.displaced, part),
             moved=_take(self.moved, part),

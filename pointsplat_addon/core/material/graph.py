@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import fields
+from collections.abc import Mapping
+from dataclasses import fields, replace
+
+import numpy as np
 
 from ..numeric.record import record, value_record
 from .expression import Expression, walk
-from .nodes.input_nodes import UV, Attribute, ColorAttribute, Coordinates
+from .nodes.input_nodes import UV, Attribute, ColorAttribute, Constant, Coordinates, ObjectValue
 from .nodes.normal_nodes import Bump, NormalMap
 from .nodes.texture_nodes import ImageTexture
 
@@ -49,6 +52,7 @@ class Needs:
     tangent: frozenset[str | None] = frozenset()  # the UV maps whose tangent is read
     heights: bool = False  # whether it is read how heights change
     images: bool = False  # whether images are mapped by any of these
+    objects: frozenset[str] = frozenset()  # values of the object
 
 
 def needs(graph: MaterialGraph) -> Needs:
@@ -67,4 +71,25 @@ def needs(graph: MaterialGraph) -> Needs:
         heights=any(isinstance(n, Bump) for n in nodes),
         tangent=frozenset(tangents),
         images=any(isinstance(n, ImageTexture) and n.uv.varies for n in nodes),
+        objects=frozenset(n.name for n in nodes if isinstance(n, ObjectValue)),
     )
+
+
+def of_one_object(graph: MaterialGraph, values: Mapping[str, np.ndarray]) -> MaterialGraph:
+    """The graph on one object, whose values (C,) by name are constants in it; those that are missing stay."""
+    known: dict[int, Expression] = {}
+
+    def bound(node: Expression) -> Expression:
+        if id(node) not in known:
+            known[id(node)] = with_constants(node)
+        return known[id(node)]
+
+    def with_constants(node: Expression) -> Expression:
+        if isinstance(node, ObjectValue) and node.name in values:
+            return Constant(tuple(map(float, values[node.name])))
+        named = {f.name: getattr(node, f.name) for f in fields(node)}
+        inner = {name: (value, bound(value)) for name, value in named.items() if isinstance(value, Expression)}
+        changed = {name: after for name, (before, after) in inner.items() if after is not before}
+        return replace(node, **changed) if changed else node
+
+    return MaterialGraph(**{name: bound(output) for name, output in graph.channels.items()})

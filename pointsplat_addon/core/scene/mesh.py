@@ -27,6 +27,9 @@ class Mesh:
     active_uv: str | None = None  # the map that a texture node without a UV Map node reads
     material: np.ndarray | None = None  # (T,) uint16, rows of Scene.materials; None: all `materials[0]`
     materials: tuple[int, ...] = (0,)  # the rows in use
+    # Values of the object that shows the mesh, by name, (1, C); of several objects, of whose samples it is known which
+    # one they lie on (Samples.object), (I, C)
+    objects: dict[str, np.ndarray] = field(default_factory=dict)
     topology: str = ""  # content key of all but positions and normals: equal keys mean that samples can be kept
 
     @property

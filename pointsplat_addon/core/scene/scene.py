@@ -109,6 +109,7 @@ class Instances:
     matte: np.ndarray | None = None
     object_hash: np.ndarray | None = None  # (I,) uint32: cryptomatte hash of the object's name
     names: tuple[str, ...] = ()  # object name for each row, for messages
+    objects: dict[str, np.ndarray] = field(default_factory=dict)  # values that materials read, by name, (I, C) float32
 
     def __len__(self) -> int:
         return len(self.geometry)

@@ -16,6 +16,7 @@ from ..material.nodes.math_functions import normalize_rows
 from ..scene.cloud import PointCloud
 from ..scene.materials import MaterialTable
 from ..scene.mesh import Mesh
+from ..scene.scene import Instances
 from ..scene.valid.geometry import valid_points
 from ..splat.kernel import PEAK
 from .evaluation import Evaluated
@@ -43,12 +44,21 @@ def digest(mesh: Mesh, table: MaterialTable) -> str:
         rows = list(mesh.materials)
         parts += [table.base_color[rows].tobytes().hex(), table.emission[rows].tobytes().hex()]
         parts += [table.roughness[rows].tobytes().hex(), table.metallic[rows].tobytes().hex()]
+    read = frozenset().union(*(needs(graph).objects for graph in graphs_of(mesh, table).values()))
+    parts += [mesh.objects[name][:1].tobytes().hex() for name in sorted(read & mesh.objects.keys())]
     if (passes := passing(mesh, table)) is not None:
         rows = list(mesh.materials)
         parts += [passes[rows].tobytes().hex(), table.alpha[rows].tobytes().hex()]
         if table.transmission_color is not None:
             parts.append(table.transmission_color[rows].tobytes().hex())
     return "|".join(parts)
+
+
+def shown_by(mesh: Mesh, instances: Instances, row: int) -> Mesh:
+    """The mesh as one of the instances shows it, where its materials read values of objects."""
+    if not mesh.objects or not instances.objects:
+        return mesh
+    return replace(mesh, objects={name: values[row : row + 1] for name, values in instances.objects.items()})
 
 
 def hiding(table: MaterialTable) -> MaterialTable:
@@ -307,7 +317,10 @@ def _evaluate(
 
 def _subset(samples: Samples, part: Part) -> Samples:
     ellipse = None if samples.ellipse is None else samples.ellipse[part]
-    return replace(samples, triangle=samples.triangle[part], barycentric=samples.barycentric[part], ellipse=ellipse)
+    owner = None if samples.object is None else samples.object[part]
+    return replace(
+        samples, triangle=samples.triangle[part], barycentric=samples.barycentric[part], ellipse=ellipse, object=owner
+    )
 
 
 def _inputs(
@@ -335,6 +348,7 @@ def _inputs(
         normal=normal if wanted.normal else None,
         tangent=tangent,
         bitangent_sign=sign,
+        objects={name: _of_objects(mesh, samples, name) for name in wanted.objects & mesh.objects.keys()},
         count=len(samples),
     )
     wide = wide and wanted.images
@@ -347,6 +361,11 @@ def _inputs(
     first, second = (_moved_to(filtered, inputs, end) for end in displaced)
     ways = difference_along_half_axes(samples, mesh.position[mesh.triangles])
     return replace(filtered, moved=(first, second), steps=np.float32(STEP) * ways)
+
+
+def _of_objects(mesh: Mesh, samples: Samples, name: str) -> np.ndarray:
+    """(N | 1, C): a value of the objects that samples lie on."""
+    return mesh.objects[name][:1] if samples.object is None else mesh.objects[name][samples.object]
 
 
 def _moved_to(filtered: SampleInputs, inputs: SampleInputs, end: SampleInputs) -> SampleInputs:

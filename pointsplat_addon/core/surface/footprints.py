@@ -11,7 +11,7 @@ from ..material.evaluation import Appearance
 from ..material.expression import walk
 from ..material.graph import MaterialGraph
 from ..material.nodes.color_nodes import Color, Combine, Component, Gray, Mix
-from ..material.nodes.input_nodes import Constant, Source
+from ..material.nodes.input_nodes import Constant, ObjectValue, Source
 from ..material.nodes.math_nodes import Mapping, Math
 from ..material.nodes.texture_nodes import ImageTexture
 from ..scene.materials import MaterialTable
@@ -23,6 +23,7 @@ THROUGH = "through"
 Look = dict[str, np.ndarray]  # attributes by their names in Appearance, (P, N, C), and THROUGH: see over_footprints
 # Places in a footprint, in its half-diameters; two on opposite sides, two more, and a place in each of 4 by 4 squares.
 FEW = np.array([[-0.75, -0.25], [0.75, 0.25]])
+MIDDLE = np.zeros((1, 2))
 MORE = np.array([[0.25, -0.75], [-0.25, 0.75]])
 MANY = np.stack(np.meshgrid(*2 * [np.arange(4)], indexing="ij"), axis=-1).reshape(-1, 2)
 MANY = (2 * (MANY + (MANY[:, ::-1] + 0.5) / 4) / 4) - 1  # of which no two lie in one row or column
@@ -72,16 +73,17 @@ def over_footprints(
         graphs = {row: replace(graph, alpha=None, transmission_color=None) for row, graph in graphs.items()}
     seen, triangle = np.unique(samples.triangle, return_inverse=True)
     mesh = mesh.take(seen)
-    samples = Samples(samples.method, triangle.reshape(-1).astype(np.int32), samples.barycentric, samples.ellipse)
+    samples = replace(samples, triangle=triangle.reshape(-1).astype(np.int32))
 
     def at(rows: np.ndarray, places: np.ndarray, share: float) -> Look:
         return _at(mesh, take_samples(samples, rows), graphs, table, scale[rows], places, share, translucent)
 
-    look = at(np.arange(len(samples)), FEW, 0.6)
+    even = not any(map(_varies_within_object, graphs.values()))
+    look = at(np.arange(len(samples)), MIDDLE if even else FEW, 0.6)
     found = _means(look)
     # Two places do not tell how far normals turn.
     rows = np.arange(len(samples)) if "normal" in look else _uneven(look)
-    if translucent and all(map(_only_images, graphs.values())):
+    if even or (translucent and all(map(_only_images, graphs.values()))):
         rows = rows[:0]
     if len(rows):
         again = at(rows, MORE, 0.5)
@@ -95,6 +97,12 @@ def over_footprints(
                 found[name][uneven] = values
     through = found.pop(THROUGH, None)
     return Appearance(**found), through
+
+
+def _varies_within_object(graph: MaterialGraph) -> bool:
+    """Whether anything but values of the object varies it."""
+    nodes = walk(*graph.channels.values())
+    return any(isinstance(node, Source) and not isinstance(node, ObjectValue) for node in nodes)
 
 
 def _only_images(graph: MaterialGraph) -> bool:
@@ -147,6 +155,7 @@ def _at(
         np.tile(samples.triangle, len(places)),
         (samples.barycentric + moved).reshape(-1, 2).astype(np.float32),
         np.tile(np.float32(share) * samples.ellipse, (len(places), 1, 1)),
+        None if samples.object is None else np.tile(samples.object, len(places)),
     )
     look = at_places(mesh, whole, graphs, table, np.tile(scale, len(places)))
     named = {name: getattr(look, name) for name in ("color", "surface", "emission", "normal")}

@@ -20,12 +20,14 @@ class Samples:
     # (a vector, so that corner 0 weighs minus their sum). None for VERTICES, whose disks follow the one-ring.
     ellipse: np.ndarray | None = None
 
+    object: np.ndarray | None = None  # (N,) integers, rows of Mesh.objects; None: all lie on the first
+
     def __len__(self) -> int:
         return len(self.triangle)
 
     @property
     def nbytes(self) -> int:
-        arrays = (self.triangle, self.barycentric, self.ellipse)
+        arrays = (self.triangle, self.barycentric, self.ellipse, self.object)
         return sum(a.nbytes for a in arrays if a is not None)
 
 
@@ -78,4 +80,5 @@ def material_ids(mesh: Mesh, samples: Samples) -> np.ndarray:
 def take_samples(samples: Samples, rows: np.ndarray) -> Samples:
     """Returns the samples that `rows` names, in that order."""
     ellipse = None if samples.ellipse is None else samples.ellipse.take(rows, axis=0)
-    return Samples(samples.method, samples.triangle[rows], samples.barycentric.take(rows, axis=0), ellipse)
+    owner = None if samples.object is None else samples.object[rows]
+    return Samples(samples.method, samples.triangle[rows], samples.barycentric.take(rows, axis=0), ellipse, owner)

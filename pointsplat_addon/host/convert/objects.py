@@ -65,7 +65,16 @@ class Source:
     scan: LinkedScan | None = None  # the file that the points stand for
     # Instead of the surface of a mesh, what fills it: lengths of the object's axes in world space; () else
     filled: tuple[float, ...] = ()
+    color: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)  # of the object in viewports, which materials may read
+    instancer: int = 0  # session_uid of the original object that made it; the owner's, if none did
+    values: dict[str, np.ndarray] = field(default_factory=dict)  # (C,) of its first instance, which materials read
     motion: float = 0.0  # of points: seconds of a frame, where a pass asks how they move
+
+    @property
+    def numbered(self) -> bool:
+        """Whether Blender chose its random number, which is not the hash of its name: that of what an instancer made,
+        as which the surface of a curve counts."""
+        return self.generated or isinstance(self.data, bpy.types.Curve)
 
     @property
     def strands(self) -> bool:
@@ -80,6 +89,7 @@ class Collected:
     sources: list[Source]
     source: np.ndarray  # (I,) int32, indices into sources
     world_from_object: np.ndarray  # (I, 4, 4) float64
+    number: np.ndarray  # (I,) int64, of instances in the dependency graph
     identity: list[tuple]  # of instances, persistent from frame to frame, for motion; empty unless asked for
     unsupported: dict[str, list[str]] = field(default_factory=dict)  # kind of object to names
 
@@ -95,7 +105,7 @@ class Collected:
         if ob is None:
             return None
         rows = tuple(tuple(map(float, row)) for row in matrices[0][:3])
-        random = None if self.sources[found[0]].generated else name_number(ob.name)
+        random = None if self.sources[found[0]].numbered else name_number(ob.name)
         return Placement(rows, tuple(ob.color), ob.pass_index, random)
 
 
@@ -120,7 +130,7 @@ def collect(
     media: dict[int, bpy.types.Material | None] = {}  # materials that fill meshes, by session_uid
     render = depsgraph.scene_eval.render
     motion = render.fps_base / render.fps if identify else 0.0
-    tubes: set[int] = set()  # session_uids of curve objects that are drawn as tubes
+    tubes: dict[int, int] = {}  # session_uids of curve objects that are drawn as tubes, to the last instance's index
     count = 0
     for row, instance in enumerate(depsgraph.object_instances):
         count = row + 1
@@ -128,8 +138,10 @@ def collect(
         ob = instance.object
         uid, tube = ob.original.session_uid, ob.type == "CURVE" and has_round_bevel(ob)
         if tube:
-            tubes.add(uid)
+            tubes[uid] = -1
         elif ob.type == "MESH" and uid in tubes:
+            if tubes[uid] >= 0:
+                instances[tubes[uid]] = row  # which has the random number of what Cycles draws
             continue
         if ob.type not in GEOMETRY and not tube:
             if ob.type in UNSUPPORTED and instance.show_self:
@@ -157,7 +169,7 @@ def collect(
             if visible.catcher and ob.type != "MESH":
                 unsupported.setdefault("Shadow catchers without polygons", []).append(ob.name)
             elif (visible.drawn or visible.casts) and (view3d is None or ob.visible_in_viewport_get(view3d)):
-                source = _make_source(ob, view_layer.material_override, visible, instance.is_instance, clip)
+                source = _make_source(ob, parent, view_layer.material_override, visible, instance.is_instance, clip)
                 source.motion = motion
                 own = [source]
                 if scale and source.smoke is None and not source.matte and (medium := media[uid]) is not None:
@@ -173,6 +185,8 @@ def collect(
                 in_world_space.append(len(rows))
             instances.append(row)
             rows.append(source)
+            if tube:
+                tubes[uid] = len(rows) - 1
             if identify:
                 persistent = tuple(instance.persistent_id) if instance.is_instance else ()
                 identity.append((key[0], key[2], persistent, source - found.start))
@@ -181,11 +195,14 @@ def collect(
     # Blender stores columns one after another.
     world_from_object = matrices.reshape(-1, 4, 4)[instances].transpose(0, 2, 1).astype(np.float64)
     world_from_object[in_world_space] = np.eye(4)
-    return Collected(sources, np.array(rows, np.int32), world_from_object, identity, unsupported)
+    return Collected(
+        sources, np.array(rows, np.int32), world_from_object, np.array(instances, np.int64), identity, unsupported
+    )
 
 
 def _make_source(
     ob: bpy.types.Object,
+    parent: bpy.types.Object,
     override: bpy.types.Material | None,
     visible: Flags,
     generated: bool,
@@ -215,6 +232,8 @@ def _make_source(
         smoke=read_domain(ob) if ob.type == "MESH" else None,
         ribbons=ob.type == "CURVES" and ob.pointsplat.ribbons,
         filters=filters_of(ob),
+        color=tuple(ob.color),
+        instancer=parent.original.session_uid,
         lighting=ob.pointsplat.lighting if ob.type == "POINTCLOUD" else "CAPTURED",
         antialiased=ob.type == "POINTCLOUD" and bool(ob.original.get(ANTIALIASED, False)),
         clip=clip,

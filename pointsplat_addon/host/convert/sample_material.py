@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from ...core.material.evaluation import SurfaceConstants
-from ...core.material.graph import MaterialGraph, Needs, needs
+from ...core.material.graph import MaterialGraph, Needs, needs, of_one_object
 from ...core.numeric.record import record
 from ...core.scene.materials import MaterialTable
 from ...core.scene.volume import Medium
@@ -48,9 +48,17 @@ class SampleMaterial:
         return repr((self.row, self.graph and self.graph.digest, looks, volume))
 
 
-def sample_material(table: MaterialTable, row: int, extinction: float = 0.0) -> SampleMaterial:
-    """The material in a row of the table. extinction: the object's own per object unit; 0 takes the material's."""
+def sample_material(
+    table: MaterialTable, row: int, extinction: float = 0.0, values: Mapping[str, np.ndarray] | None = None
+) -> SampleMaterial:
+    """The material in a row of the table on an object.
+
+    extinction: the object's own per object unit; 0 takes the material's. values: (C,) of the object, by the names of
+    core.material.object_values.
+    """
     graph = table.graphs[row] if row < len(table.graphs) else None
+    if values and isinstance(graph, MaterialGraph) and needs(graph).objects:
+        graph = of_one_object(graph, values)
     alpha = float(table.alpha[row])
     varies = isinstance(graph, MaterialGraph) and graph.alpha is not None
     return SampleMaterial(

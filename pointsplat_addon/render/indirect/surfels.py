@@ -18,7 +18,7 @@ from ...core.scene.materials import MaterialTable
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.strands import Strands
-from ...core.surface.appearance import passing, point_cloud
+from ...core.surface.appearance import passing, point_cloud, shown_by
 from ...core.surface.evaluation import evaluate
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
@@ -104,7 +104,9 @@ def _surfels(
         )
         kind = closed, leaves and not closed
         if len(matrices) < MANY_INSTANCES:
-            return [_of_mesh(mesh, table, one, at, kind) for one, at in zip(matrices, spacings, strict=True)]
+            shown = (shown_by(mesh, scene.instances, row) for row in rows.tolist())
+            each = zip(shown, matrices, spacings, strict=True)
+            return [_of_mesh(own, table, one, at, kind) for own, one, at in each]
         return _of_instances(mesh, table, matrices, density.apart[rows], kind)
     if geometry.cloud is not None and len(geometry.cloud) and geometry.cloud.opacity is None:
         cloud = geometry.cloud

@@ -47,7 +47,7 @@ from .make_plan import ViewToPlan, make_plan
 from .plan import Plan
 from .reasons import Absences, why_no_eye_dome, why_no_indirect, why_not_trained
 from .request import Request
-from .technique import Technique, TechniqueInput, confirm_technique, decide_technique
+from .technique import Technique, TechniqueInput, confirm_technique, decide_technique, shown_alike
 
 MOVING_SHADOWS, LEAST_SHADOWS = 4, 64  # part of the resolution of shadows while a view of scans read by pages moves
 MOST_MARGIN = 64  # pixels around the window in which the centres of wide splats are looked for
@@ -271,6 +271,7 @@ def make_frame_plan(
             *warnings,
             *of_parts,
             *((technique.warning,) if technique.warning else ()),
+            *shown_alike(scene, technique.name),
             *((f"Eye-dome lighting is left out: {absences.eye_dome}",) if lacks_eye_dome else ()),
             *((f"Captured splats are blended in linear light, not as trained: {linear}",) if not_trained else ()),
             *prepared.warnings,

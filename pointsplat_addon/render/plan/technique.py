@@ -107,6 +107,27 @@ def _primitives(geometry: Geometry) -> int:
     return 0 if geometry.mesh is None else len(geometry.mesh.triangles)
 
 
+def shown_alike(scene: Scene, name: str) -> tuple[str, ...]:
+    """Returns a warning where a technique does not tell the objects apart that show a mesh, although its materials read
+    them; the visibility buffer does, but for samples of surfaces."""
+    objects = scene.instances.objects
+    if not objects:
+        return ()
+    shown = scene.instances.of_each(len(scene.geometries))
+    alike = sorted({
+        geometry.name
+        for geometry, rows in zip(scene.geometries, shown, strict=True)
+        if geometry.mesh is not None and geometry.mesh.objects and len(rows) > 1
+        and (name != "VISIBILITY" or geometry.primitive == "POINTS")
+        and any((objects[value][rows] != objects[value][rows[0]]).any() for value in geometry.mesh.objects)
+    })  # fmt: skip
+    if not alike:
+        return ()
+    more = f" and {len(alike) - 1} more" if len(alike) > 1 else ""
+    why = "as points" if name == "VISIBILITY" else "without the visibility buffer"
+    return (f'Instances are drawn {why}, and materials that read the object show some alike: "{alike[0]}"{more}',)
+
+
 def confirm_technique(decided: Technique, prepared: Prepared) -> Technique:
     """Returns the technique for a view that was prepared for the one that `decide_technique` decided.
 

@@ -24,7 +24,7 @@ from ...core.scene.strands import Strands
 from ...core.splat.blur import IN_FOCUS, OUT_OF_FOCUS, Blur
 from ...core.strand.levels import StrandLevels
 from ...core.strand.segments import Segments
-from ...core.surface.appearance import digest, point_cloud
+from ...core.surface.appearance import digest, point_cloud, shown_by
 from ...core.surface.evaluation import evaluate
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
@@ -97,12 +97,11 @@ class FocusSorter:
         """Adds the triangles of a mesh, diced for each of the instances (K,) int in this view."""
         rows = np.arange(len(mesh.triangles))
         origin, table = mesh_centre(mesh), self.scene.materials
-        look = digest(mesh, table)
         for i in instance.tolist():
-            matrix = self.view_from_object[i]
-            key = Key(Kind.DICED, geometry.key, look, other=self._view_key(matrix))
+            matrix, own = self.view_from_object[i], shown_by(mesh, self.scene.instances, i)
+            key = Key(Kind.DICED, geometry.key, digest(own, table), other=self._view_key(matrix))
 
-            def make(matrix: np.ndarray = matrix) -> PointCloud:
+            def make(matrix: np.ndarray = matrix, mesh: Mesh = own) -> PointCloud:
                 samples = dicing.dice_triangles(mesh, rows, matrix, self.camera, self.tolerance, self.blur)
                 return point_cloud(mesh, samples, evaluate(mesh, samples, origin), table)
 

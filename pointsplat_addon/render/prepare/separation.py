@@ -125,4 +125,5 @@ def with_repeated(instances: Instances, rows: np.ndarray, geometry: np.ndarray) 
         matte=extended(instances.matte),
         object_hash=extended(instances.object_hash),
         names=(*names, *(names[row] for row in rows)) if names else (),
+        objects={name: np.concatenate([values, values[rows]]) for name, values in instances.objects.items()},
     )

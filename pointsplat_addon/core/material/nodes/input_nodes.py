@@ -6,6 +6,7 @@ import numpy as np
 
 from ...numeric.record import record
 from ..expression import Expression, SampleInputs
+from ..object_values import components
 
 
 @record
@@ -78,6 +79,17 @@ class Coordinates(Source):
 
     def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
         return three_columns(getattr(inputs, self.kind), len(inputs))
+
+
+@record
+class ObjectValue(Source):
+    """A value of the object that a sample lies on, (N, C), zeros if it is unknown. Its name: see object_values.py."""
+
+    name: str
+
+    def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
+        found = inputs.objects.get(self.name)
+        return np.zeros((1, components(self.name)), np.float32) if found is None else found
 
 
 def three_columns(array: np.ndarray | None, count: int) -> np.ndarray:

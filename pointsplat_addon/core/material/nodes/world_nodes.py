@@ -1,4 +1,4 @@
-"""Coordinates and directions of world space, for materials of what lies in one place."""
+"""Coordinates and directions in world space and in spaces of objects."""
 
 from __future__ import annotations
 
@@ -10,17 +10,25 @@ from .math_functions import normalize_rows
 
 
 @record
-class ToWorld(Expression):
-    """A point or a normal (N, 3) of object space in world space; normals are unit."""
+class Transformed(Expression):
+    """A point or a normal (N, 3) of one space in another, such as of object space in world space; normals are unit."""
 
     vector: Expression
-    world_from_object: tuple[tuple[float, ...], ...]  # three rows of four
+    matrix: Expression  # (N, 12): three rows of four
     normal: bool = False
 
     def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
-        matrix = np.array(self.world_from_object)
+        vector, matrix = values[0], values[1].reshape(-1, 3, 4)
+        linear, move = matrix[:, :, :3], matrix[:, :, 3]
         if not self.normal:
-            return values[0] @ matrix[:, :3].T.astype(np.float32) + matrix[:, 3].astype(np.float32)
-        if abs(np.linalg.det(matrix[:, :3])) < 1e-30:  # flattened: there is no inverse
-            return normalize_rows(values[0])
-        return normalize_rows(values[0] @ np.linalg.inv(matrix[:, :3]).astype(np.float32))
+            return _turned(vector, linear) + move
+        # Cofactors are inverse transposes but for a factor, and what is flattened has them as well
+        cofactors = np.stack([np.cross(linear[:, :, (k + 1) % 3], linear[:, :, (k + 2) % 3]) for k in range(3)], axis=2)
+        mirrored = np.einsum("nij,nij->n", linear, cofactors) < 0
+        turned = _turned(vector, np.where(mirrored[:, None, None], -cofactors, cofactors))
+        return normalize_rows(np.where(turned.any(axis=1, keepdims=True), turned, vector))
+
+
+def _turned(vectors: np.ndarray, matrices: np.ndarray) -> np.ndarray:
+    """Vectors (N, 3) by matrices (N | 1, 3, 3)."""
+    return vectors @ matrices[0].T if len(matrices) == 1 else np.einsum("nij,nj->ni", matrices, vectors)

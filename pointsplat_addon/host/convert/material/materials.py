@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 
 from ....core.material.evaluation import CHANNELS
-from ....core.material.expression import Expression, constant
+from ....core.material.expression import Expression, constant, walk
 from ....core.material.graph import MaterialGraph
 from ....core.material.masks import is_mask
 from ....core.material.nodes import input_nodes
@@ -174,7 +174,7 @@ def convert_material(material: bpy.types.Material, placement: FindPlacement = no
 
     A surface that cannot be converted gets the viewport's colour, and one warning.
     """
-    tree = tree_reader(material.name, placement)
+    tree = tree_reader(material.name, placement, material.pass_index)
     output = output_node(material)
     surface = _material_surface(material, output, tree)
     translucent = _is_translucent(surface)
@@ -209,6 +209,8 @@ def _is_translucent(surface: Surface) -> bool:
     value = constant(surface.alpha)
     if value is not None:
         return bool(value[0] < 1 - 1e-6)
+    if any(isinstance(node, input_nodes.ObjectValue) for node in walk(surface.alpha)):
+        return True  # meshes that several objects show are cut out alike
     return not is_mask(surface.alpha) or not is_constant(surface.transmission_color, 1)
 
 

@@ -41,7 +41,8 @@ def kept_light(
     lighting = tuple(name for name in plan.lighting if name != "PS_SHADOW_NESTED")
     light, instances = uploads.lighting, scene.instances
     depends_on = (
-        density.key, _digest(instances.geometry, instances.world_from_object), _digest(*_values(scene.materials)),
+        density.key, _digest(instances.geometry, instances.world_from_object), _digest(*instances.objects.values()),
+        _digest(*_values(scene.materials)),
         tuple(_digest(*_values(one)) for one in scene.lights), _world_digest(scene, store),
         light.shadow_key, lighting, bounces,
     )  # fmt: skip

@@ -16,7 +16,7 @@ from ...passes.uniforms import SampleView
 from ...passes.visibility.buffer import RASTERISED
 from ...passes.visibility.polygon_draw import Drawn
 from ...shadow.panes import pane_shares
-from ..visibility.placed import BLOCK, footprints_in_view
+from ..visibility.placed import BLOCK, footprints_in_view, on_objects
 
 STEP = 4  # texels between those at which functions are evaluated first
 CHANGE = 1 / 64  # of a share: between those that differ by less, it is interpolated
@@ -124,7 +124,8 @@ def _shares(
             samples, scale = footprints_in_view(
                 view, where[some], depth[some], mesh, triangle[some], draw.object_from_view, slot[some]
             )
-            through = through_at(mesh, samples, graphs_of(mesh, scene.materials), scene.materials, scale)
+            of_objects, samples = on_objects(scene, mesh, samples, draw.instance[slot[some]])
+            through = through_at(of_objects, samples, graphs_of(mesh, scene.materials), scene.materials, scale)
             found[some] = through[:, :channels]
 
         each_block(len(own), evaluate, BLOCK)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -77,6 +78,7 @@ def placed_textures(
         where = np.stack([column, row], axis=1) + 0.5 + lattice.positions[members[here]]
         depth = depths[here].view(np.float32).astype(np.float64) + view.near
         samples, scale = footprints_in_view(view, where, depth, mesh, triangle, draw.object_from_view, slot)
+        mesh, samples = on_objects(scene, mesh, samples, draw.instance[slot])
         look, through = over_footprints(mesh, samples, graphs, scene.materials, scale, translucent)
         for name, out in found.items():
             values = through if name == THROUGH else getattr(look, name.removeprefix("ps_placed_"))
@@ -127,6 +129,14 @@ def _only_term(through: np.ndarray, glass: np.ndarray, term: Term) -> None:
         through[:, 3] = glass
     elif not term.through:
         through[glass, :3] = 0
+
+
+def on_objects(scene: Scene, mesh: Mesh, samples: Samples, instance: np.ndarray) -> tuple[Mesh, Samples]:
+    """Returns a mesh and samples of it that know which of the scene's instances (N,) they lie on, where materials read
+    that. Scenes of casters, of which that is not known, show all with the values of the first."""
+    if not mesh.objects or not scene.instances.objects:
+        return mesh, samples
+    return replace(mesh, objects=scene.instances.objects), replace(samples, object=instance)
 
 
 def footprints_in_view(

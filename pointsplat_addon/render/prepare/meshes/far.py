@@ -44,7 +44,7 @@ def far_nodes(
     rows, triangles = np.arange(len(view_from_object)), len(measured.mesh.triangles)
     if view.blur is not None or len(rows) * triangles < FEWEST_TRIANGLES:
         return [], rows
-    if passing(measured.mesh, view.scene.materials) is not None or measured.is_foliage:
+    if passing(measured.mesh, view.scene.materials) is not None or measured.is_foliage or measured.mesh.objects:
         return [], rows
     diameter = 2 * measured.ball[1]
     with np.errstate(all="ignore"):

@@ -7,6 +7,7 @@ from .....core.material.hair_color import strand_attribute
 from .....core.material.nodes import color_nodes, input_nodes, texture_nodes
 from ..images import convert_image
 from .tree import NodeConverter, NodeReader, Outputs, UnsupportedNodeError
+from .world_space import in_space_of, object_attribute
 
 
 def _uv_map(node: NodeReader) -> Outputs:
@@ -22,7 +23,7 @@ def _color_attribute(node: NodeReader) -> Outputs:
 
 def _attribute(node: NodeReader) -> Outputs:
     if node.node.attribute_type != "GEOMETRY":
-        raise UnsupportedNodeError(f"reads an attribute of the {node.node.attribute_type.lower()}")
+        return object_attribute(node)
     value = input_nodes.Attribute(node.node.attribute_name)
     color = color_nodes.Color(value)
     return {
@@ -41,8 +42,10 @@ def _texture_coordinates(node: NodeReader) -> Outputs:
         "Normal": input_nodes.Coordinates("normal"),
         "UV": input_nodes.UV(),
     }
-    if node.node.object is None:
-        out["Object"] = input_nodes.Coordinates("position")
+    other = node.node.object
+    out["Object"] = (
+        input_nodes.Coordinates("position") if other is None else in_space_of(node, other.original.session_uid)
+    )
     return out
 
 

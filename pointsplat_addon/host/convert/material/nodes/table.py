@@ -16,9 +16,9 @@ from .world_space import WORLD_SPACE
 NODES: dict[str, NodeConverter] = INPUTS | MATHEMATICS | COLORS | NORMALS | PROCEDURAL | WORLD_SPACE
 
 
-def tree_reader(material_name: str, placement: FindPlacement = nowhere) -> TreeReader:
-    """A reader for the nodes of one material, whose name appears in the warnings. placement: see TreeReader."""
-    return TreeReader(material_name, NODES, placement)
+def tree_reader(material_name: str, placement: FindPlacement = nowhere, pass_index: int = 0) -> TreeReader:
+    """A reader for the nodes of one material, whose name appears in the warnings. The others: see TreeReader."""
+    return TreeReader(material_name, NODES, placement, pass_index)
 
 
 def constant_value(socket: bpy.types.NodeSocket, path: Path) -> tuple[float, ...] | None:

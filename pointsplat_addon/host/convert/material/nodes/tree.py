@@ -53,13 +53,19 @@ class TreeReader:
 
     converters: what turns a node into the values of its outputs, by the node's bl_idname. Each node is converted once.
     placement: returns where the material is shown; it is asked by nodes that read that.
+    pass_index: the material's.
     """
 
     def __init__(
-        self, material_name: str, converters: dict[str, NodeConverter], placement: FindPlacement = nowhere
+        self,
+        material_name: str,
+        converters: dict[str, NodeConverter],
+        placement: FindPlacement = nowhere,
+        pass_index: int = 0,
     ) -> None:
         self.material_name = material_name
         self.placement = placement
+        self.pass_index = pass_index
         self.warnings: list[str] = []
         self.hair: HairConstants | None = None  # set by a shader for strands
         self.glass = False  # set by shaders that transmit light
