@@ -9,6 +9,8 @@
 #include "lib/visibility/block.glsl"
 #include "lib/visibility/leader.glsl"
 
+#define PS_ROUNDED_NORMALS 1e-3  // radians
+
 // The point, as lib/data/polygon.glsl wants it.
 vec3 v_normal;
 vec2 v_uv;
@@ -193,6 +195,25 @@ PsShown ps_shown(int slot, PsCorners corners, vec3 weights, vec3 position)
   return shown;
 }
 
+// How far above a point of a triangle the surface bulges that the corners' normals tell of, times the length of their mean: the
+// least height of the planes across these (Hanika 2021), but at least half of what its parabola rises, as in Cycles.
+float ps_bulge(int slot, PsCorners corners, vec3 weights, vec3 position, bool turned)
+{
+  mat3 linear = ps_linear(slot);
+  vec3 normal = vec3(0.0);
+  float lowest = 1e30, parabola = 0.0, far = 0.0;
+  for (int i = 0; i < 3; i++) {
+    vec3 own = ps_view_normal(linear, ps_unpack_normal(corners.texels[i].w)), away = corners.p[i] - position;
+    float height = turned ? -dot(away, own) : dot(away, own);
+    normal += weights[i] * own;
+    parabola += weights[i] * height;
+    lowest = min(lowest, height);
+    far = max(far, dot(away, away));
+  }
+  // Normals are rounded.
+  return max(max(lowest, 0.5 * parabola) - PS_ROUNDED_NORMALS * sqrt(far), 0.0) * length(normal);
+}
+
 #if defined(PS_SPREAD) && defined(PS_BENT)
 // Shades a group by the mean of its sub-samples' normals, which pictures bend, and keeps their spread.
 void ps_shade_by_bends(inout PsSurfel s, PsLeader leader, int slot)
@@ -311,6 +332,7 @@ void main()
 #endif
 #endif
   s.normal.xyz = shown.normal;
+  s.shape.z = ps_bulge(slot, own, weights, leader.position, shown.turned);
   ps_seen_from(s, shown.plane, shown.turned);
 #if defined(PS_SPREAD) && defined(PS_BENT)
   ps_shade_by_bends(s, leader, slot);

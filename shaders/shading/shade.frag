@@ -76,6 +76,7 @@ void main()
     vec3 shown = ps_key_normal(texelFetch(ps_keys, leader, 0).x), own = ps_unpack_normal(centre.z - 1.0);
     ps_footprint.turn = (dot(shown, own) < 0.0 ? -own : own) - shown;
   }
+  ps_footprint.plane = ps_footprint.bulge = ps_footprint.raised = vec3(0.0);
   bool balls = centre.z <= PS_BALL;
   ps_footprint.above = balls ? PS_MAP_BIAS_OF_BALLS : PS_MAP_BIAS;
   ps_footprint.rise = balls ? (PS_BALL - centre.z) * ps_pixel_size(centre.x) : 0.0;
@@ -87,6 +88,10 @@ void main()
   vec3 position = ps_surface_position(normal, bent.xyz, centre, at);
   bool own_pixel = centre.w <= PS_POLYGON, bends = own_pixel && centre.z > 0.5;
   vec3 plane = bends ? ps_unpack_normal(centre.z - 1.0) : vec3(0.0);
+#ifdef PS_FOOTPRINT
+  ps_footprint.plane = plane;
+  ps_footprint.bulge = bends ? shape.z * normal : vec3(0.0);
+#endif
 #else
   vec3 normal = vec3(0.0, 0.0, 1.0), plane = vec3(0.0);
   vec3 position = ps_view_from_pixel(at, centre.x);

@@ -28,6 +28,11 @@ vec3 ps_reaching(int index, vec3 light, vec3 position, vec3 normal)
 #if defined(PS_REACHED)
   return light * ps_reached[index];
 #elif defined(PS_SHADOWS)
+#ifdef PS_FOOTPRINT
+  vec3 there = ps_light(index, 1).xyz;
+  ps_raise(index < ps_light_ends().x ? there : normalize(there - position), normal);
+  position += ps_footprint.raised;
+#endif
   return light * ps_transmittance(index, position, normal, any(greaterThan(light, vec3(0.0))));
 #else
   return light;

@@ -29,6 +29,7 @@
 
 #ifdef PS_FOOTPRINT
 #define PS_MAP_SHARP 2.0
+#define PS_MAP_GRAZED 0.1  // cosine, see ps_raise
 #define PS_MAP_FIRST 7  // sub-samples: where so many agree, no others are looked at
 
 // The sub-samples of the group that is shaded.
@@ -39,6 +40,8 @@ struct PsFootprint {
   float rise;
   bool keyed;  // each sub-sample lies in a plane whose normal is that of its key, turned by
   vec3 turn;  // what is added to it; else in that by which the group is shaded
+  vec3 plane, bulge;  // normal of the triangle's plane, and how far the surface bulges above that, along the group's normal
+  vec3 raised;  // where the sub-samples are looked at from, above themselves: see ps_raise
 #ifdef PS_FOG
   bool air;  // a place in the fog is looked at instead
   vec3 place;
@@ -68,7 +71,16 @@ PsMember ps_member(inout uvec2 members, vec3 normal)
     own *= dot(own, normal) < 0.0 ? -1.0 : 1.0;
 #endif
   }
-  return PsMember(ps_view_from_pixel(ps_pixel_from_cell(vec2(cell) + 0.5), d), own);
+  return PsMember(ps_view_from_pixel(ps_pixel_from_cell(vec2(cell) + 0.5), d) + ps_footprint.raised, own);
+}
+
+// Triangles whose normals are interpolated see light that their planes graze, or turn away from, from the surface that they stand
+// for (Hanika 2021); by how much is as in Cycles. toward: the light; normal: by which it is seen.
+void ps_raise(vec3 toward, vec3 normal)
+{
+  float by_plane = dot(ps_footprint.plane, toward), by_normal = dot(normal, toward);
+  float share = clamp(1.0 + max(1.0 - max(by_normal, 0.0) / PS_MAP_GRAZED, 0.0) - by_plane / PS_MAP_GRAZED, 0.0, 1.0);
+  ps_footprint.raised = dot(normal, ps_footprint.bulge) > 0.0 ? share * ps_footprint.bulge : vec3(0.0);
 }
 #endif
 
