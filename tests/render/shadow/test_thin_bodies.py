@@ -37,6 +37,7 @@ def crossed(position: np.ndarray) -> np.ndarray:
     """(N,): how many half sides from the leaf's middle rays cross its plane, which lead to the sun from places (N, 3)
     of its lower side, lifted by as much as Cycles lifts rays from planes that do not face the light."""
     shape, found = leaf(), np.full(len(position), np.nan)
+    assert shape.vertex_normal is not None
     for corners in shape.triangles:
         p, normal = shape.position[corners].astype(float), shape.vertex_normal[corners].astype(float)
         if not (p[:, 2] < 0).all():
