@@ -159,6 +159,7 @@ class Synchronizer:
             object_hash=np.array([hash_of_name(s.name) for s in sources], np.uint32)[source],
             casts=_flags([s.casts for s in sources], source),
             seen=_flags([s.seen for s in sources], source),
+            scatters=_flags([s.scatters for s in sources], source),
             matte=np.array([s.matte for s in sources], bool)[source] if any(s.matte for s in sources) else None,
             names=tuple([sources[i].name for i in source]),
             objects={name: column[drawn] for name, column in values.items()},

@@ -104,6 +104,7 @@ class Instances:
     holdout: np.ndarray | None = None  # (I,) bool: cuts a hole into alpha
     casts: np.ndarray | None = None  # (I,) bool: casts shadows; None: all do
     seen: np.ndarray | None = None  # (I,) bool: cameras see it; None: all
+    scatters: np.ndarray | None = None  # (I,) bool: it hides and lights what indirect light falls on; None: all do
     # (I,) bool: meshes that stand for surfaces of footage or captures: they hide what is behind them, are not seen, and
     # catch shadows
     matte: np.ndarray | None = None

@@ -50,6 +50,7 @@ class Source:
     holdout: bool
     casts: bool  # whether it casts shadows
     seen: bool  # whether cameras see it
+    scatters: bool  # whether diffuse light sees it
     matte: bool  # whether it is a shadow catcher
     generated: bool  # whether an instancer made it: its data may belong to the instancer
     editing: bpy.types.Object | None = None  # the object, if its mesh is in edit mode
@@ -226,6 +227,7 @@ def _make_source(
         holdout=visible.holdout,
         casts=visible.casts,
         seen=visible.drawn,
+        scatters=visible.scatters,
         generated=generated,
         editing=ob if ob.type == "MESH" and ob.data.is_editmode else None,
         transfer=convert_transfer(ob) if ob.type == "VOLUME" else None,
@@ -279,11 +281,13 @@ def _particles(emitter: Source, ob: bpy.types.Object, override: bpy.types.Materi
 
 
 class Flags(NamedTuple):
-    """Visibility of an instance, one bool each: to the camera, as holdout, as shadow caster, as shadow catcher."""
+    """Visibility of an instance, one bool each: to the camera, as holdout, to shadow rays, to diffuse rays, as shadow
+    catcher."""
 
     drawn: bool
     holdout: bool
     casts: bool  # whether it casts shadows
+    scatters: bool  # whether diffuse light sees it
     catcher: bool  # whether it is a shadow catcher
 
 
@@ -295,6 +299,8 @@ def _visibility(
     if uid not in flags:
         drawn = parent.visible_camera and not parent.indirect_only_get(view_layer=view_layer)
         holdout = parent.holdout_get(view_layer=view_layer)
-        flags[uid] = Flags(drawn, holdout, parent.visible_shadow, parent.is_shadow_catcher)
-    drawn, holdout, casts, catcher = flags[uid]
-    return Flags(drawn and ob.visible_camera, holdout, casts and ob.visible_shadow, catcher or ob.is_shadow_catcher)
+        casts, scatters, catcher = parent.visible_shadow, parent.visible_diffuse, parent.is_shadow_catcher
+        flags[uid] = Flags(drawn, holdout, casts, scatters, catcher)
+    drawn, holdout, casts, scatters, catcher = flags[uid]
+    casts, scatters = casts and ob.visible_shadow, scatters and ob.visible_diffuse
+    return Flags(drawn and ob.visible_camera, holdout, casts, scatters, catcher or ob.is_shadow_catcher)

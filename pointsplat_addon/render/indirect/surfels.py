@@ -55,8 +55,9 @@ def scene_density(scene: Scene, camera: Camera, store: Store) -> tuple[Density, 
 
 
 def _usable(scene: Scene) -> np.ndarray:
-    """(I,) bool: instances whose transforms are finite."""
-    return np.isfinite(scene.instances.world_from_object).all(axis=(1, 2))
+    """(I,) bool: instances that hide or scatter light, and whose transforms are finite."""
+    sound, scatters = np.isfinite(scene.instances.world_from_object).all(axis=(1, 2)), scene.instances.scatters
+    return sound if scatters is None else sound & scatters
 
 
 def scene_surfels(

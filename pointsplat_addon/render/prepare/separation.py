@@ -122,6 +122,7 @@ def with_repeated(instances: Instances, rows: np.ndarray, geometry: np.ndarray) 
         holdout=extended(instances.holdout),
         casts=extended(instances.casts),
         seen=extended(instances.seen),
+        scatters=extended(instances.scatters),
         matte=extended(instances.matte),
         object_hash=extended(instances.object_hash),
         names=(*names, *(names[row] for row in rows)) if names else (),

@@ -76,7 +76,7 @@ def test_a_step_of_the_camera_gathers_little(gathered):
     own.release()
 
 
-@pytest.mark.parametrize("change", ["lights", "world", "materials", "place"])
+@pytest.mark.parametrize("change", ["lights", "world", "materials", "place", "visibility"])
 def test_what_changes_light_makes_it_anew(gathered, change):
     case, own = indirect_cases.in_a_corner(), renderer()
     picture(own, case, case.camera)
@@ -88,6 +88,8 @@ def test_what_changes_light_makes_it_anew(gathered, change):
         scene = replace(scene, world=replace(scene.world, color=np.array([0.1, 0.2, 0.3])))
     elif change == "materials":
         scene = replace(scene, materials=replace(scene.materials, base_color=0.5 * scene.materials.base_color))
+    elif change == "visibility":
+        scene = replace(scene, instances=replace(scene.instances, scatters=np.arange(len(scene.instances)) != 2))
     else:
         matrices = scene.instances.world_from_object.copy()
         matrices[2, 0, 3] += 0.1

@@ -42,7 +42,7 @@ def kept_light(
     light, instances = uploads.lighting, scene.instances
     depends_on = (
         density.key, _digest(instances.geometry, instances.world_from_object), _digest(*instances.objects.values()),
-        _digest(*_values(scene.materials)),
+        _digest(*(() if instances.scatters is None else (instances.scatters,))), _digest(*_values(scene.materials)),
         tuple(_digest(*_values(one)) for one in scene.lights), _world_digest(scene, store),
         light.shadow_key, lighting, bounces,
     )  # fmt: skip
