@@ -129,7 +129,9 @@ class Geometries:
         elif isinstance(source.data, bpy.types.PointCloud):
             key, cloud, messages = _read_points(source, source.data, material, lookup)
         else:
-            found = _read_evaluated(source, rows, _attributes(table, rows), material, lookup)
+            found = _read_evaluated(
+                source, rows, _attributes(table, rows), _use_generated(table, rows), material, lookup
+            )
             if isinstance(found, mesh_module.Mesh):
                 mesh, key = found, found.key
             else:
@@ -216,7 +218,7 @@ class Geometries:
         if _hides_inside(rows[1:], table):
             return None, ()
         material = sample_material(table, rows[0])
-        mesh = _read_evaluated(source, rows, frozenset(), material, self._cache.lookup)
+        mesh = _read_evaluated(source, rows, frozenset(), False, material, self._cache.lookup)
         if not isinstance(mesh, mesh_module.Mesh) or _medium(table, rows[0]) is None:
             return None, ()
         scale = np.array(source.filled)
@@ -301,6 +303,11 @@ def _attributes(table: MaterialTable, rows: tuple[int, ...]) -> frozenset[str | 
     return frozenset().union(*(needs(graph).colors for graph in graphs))
 
 
+def _use_generated(table: MaterialTable, rows: tuple[int, ...]) -> bool:
+    """Whether some of the materials reads generated coordinates."""
+    return any(needs(graph).generated for row in rows if (graph := _graph(table, row)))
+
+
 def _is_loose_vertices(source: Source) -> bool:
     """Whether a source is a mesh that is drawn as points because it has neither edges nor faces."""
     return isinstance(source.data, bpy.types.Mesh) and not source.strands and is_loose_vertices(source.data)
@@ -322,6 +329,7 @@ def _read_evaluated(
     source: Source,
     rows: tuple[int, ...],
     wanted: frozenset[str | None],
+    use_generated: bool,
     material: SampleMaterial,
     lookup: Callable,
 ) -> mesh_module.Mesh | tuple[str, PointCloud] | None:
@@ -333,7 +341,7 @@ def _read_evaluated(
     def read(data: bpy.types.Mesh) -> mesh_module.Mesh | tuple[str, PointCloud] | None:
         if is_loose_vertices(data):
             return read_pointcloud(data, material, lookup, source.shape, motion=source.motion)
-        return read_mesh(data, source.name, rows, wanted, lookup)
+        return read_mesh(data, source.name, rows, wanted, lookup, use_generated)
 
     if source.editing is None:
         return read(source.data)  # pyright: ignore[reportArgumentType]

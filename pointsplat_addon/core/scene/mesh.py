@@ -25,6 +25,9 @@ class Mesh:
     uv: dict[str, np.ndarray] = field(default_factory=dict)  # map name to (T, 3, 2) float32
     colors: dict[str, np.ndarray] = field(default_factory=dict)  # attribute name to (T, 3, 4) float32, scene-linear
     active_uv: str | None = None  # the map that a texture node without a UV Map node reads
+    # (V, 3) float32: where vertices lie in the mesh's texture space, before what deforms it; None: their places within
+    # its bounds, or nothing reads them
+    generated: np.ndarray | None = None
     material: np.ndarray | None = None  # (T,) uint16, rows of Scene.materials; None: all `materials[0]`
     materials: tuple[int, ...] = (0,)  # the rows in use
     # Values of the object that shows the mesh, by name, (1, C); of several objects, of whose samples it is known which
@@ -34,7 +37,7 @@ class Mesh:
 
     @property
     def nbytes(self) -> int:
-        arrays = [self.position, self.triangles, self.vertex_normal, self.corner_normal, self.material]
+        arrays = [self.position, self.triangles, self.vertex_normal, self.corner_normal, self.material, self.generated]
         arrays += [*self.uv.values(), *self.colors.values()]
         return sum(a.nbytes for a in arrays if a is not None)
 

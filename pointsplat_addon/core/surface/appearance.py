@@ -331,7 +331,9 @@ def _inputs(
     uv_names = {name or mesh.active_uv for name in wanted.uv | wanted.tangent} & mesh.uv.keys()
     colors = mesh.colors.keys() if None in wanted.colors else wanted.colors & mesh.colors.keys()
     generated = tangent = sign = None
-    if wanted.generated and len(mesh.position):
+    if wanted.generated and mesh.generated is not None:
+        generated = interpolate(mesh, samples, mesh.generated[mesh.triangles])
+    elif wanted.generated and len(mesh.position):
         low, high = mesh.position.min(axis=0), mesh.position.max(axis=0)
         flat = high <= low  # along such an axis Blender's coordinates are those of the middle
         generated = np.where(flat, np.float32(0.5), (position - low) / np.where(flat, np.float32(1), high - low))
@@ -396,13 +398,17 @@ def _displaced(mesh: Mesh, samples: Samples, inputs: SampleInputs) -> tuple[Samp
     places = {name: array for name, array in places.items() if array is not None}
     if places:
         moved = difference_along_half_axes(samples, mesh.position[mesh.triangles])
-        extent = np.maximum(mesh.position.max(axis=0) - mesh.position.min(axis=0), 1e-30)
-        scale = {"position": 1.0, "generated": (1 / extent).astype(np.float32)}
+        ways = {"position": moved}
+        if inputs.generated is not None and mesh.generated is not None:
+            ways["generated"] = difference_along_half_axes(samples, mesh.generated[mesh.triangles])
+        elif inputs.generated is not None:
+            extent = np.maximum(mesh.position.max(axis=0) - mesh.position.min(axis=0), 1e-30)
+            ways["generated"] = moved / extent.astype(np.float32)
     first, second = (
         replace(
             inputs,
             uv={name: array + steps[name][k] for name, array in inputs.uv.items()},
-            **{name: array + moved[k] * scale[name] for name, array in places.items()},
+            **{name: array + ways[name][k] for name, array in places.items()},
         )
         for k in range(2)
     )

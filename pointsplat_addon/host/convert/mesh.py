@@ -12,11 +12,17 @@ from ...core.scene.mesh import Mesh
 from . import arrays
 from .arrays import READABLE_TYPES, attribute_as_color
 
+ROUNDED = 1e-6  # of coordinates, within which places are the same
 Lookup = Callable[[str, Callable[[], Mesh]], Mesh]  # the mesh of a content key, made only if it is not known
 
 
 def read_mesh(
-    mesh: bpy.types.Mesh, name: str, rows: tuple[int, ...], wanted: frozenset[str | None] | None, lookup: Lookup
+    mesh: bpy.types.Mesh,
+    name: str,
+    rows: tuple[int, ...],
+    wanted: frozenset[str | None] | None,
+    lookup: Lookup,
+    use_generated: bool = False,
 ) -> Mesh | None:
     """The triangles of an evaluated mesh in object space; None if it has no faces.
 
@@ -24,7 +30,8 @@ def read_mesh(
     wanted: names of the colour and other attributes that the materials read, where a None among them is the
     default colour attribute; None instead of a set: all colours.
     UV maps are always read. lookup: gives the known mesh of a content key, so that unchanged arrays are digested
-    (30 MB for a million triangles) but neither triangulated nor expanded.
+    (30 MB for a million triangles) but neither triangulated nor expanded. use_generated: the materials read
+    generated coordinates.
     """
     if len(mesh.polygons) == 0:
         return None
@@ -40,6 +47,7 @@ def read_mesh(
     uv = {m.name: arrays.values(mesh.attributes[m.name], 2, np.float32) for m in mesh.uv_layers}
     active = next((m.name for m in mesh.uv_layers if m.active_render), None)
     colors = _read_colors(mesh, wanted)
+    generated = _generated(mesh, position) if use_generated else None
 
     def build() -> Mesh:
         of_triangles = _triangle_corners(mesh)
@@ -63,6 +71,7 @@ def read_mesh(
                 for n, (domain, a) in colors.items()
             },
             active_uv=active,
+            generated=generated,
             material=material,
             materials=used,
             topology=topology,
@@ -75,8 +84,25 @@ def read_mesh(
     for attribute, (domain, array) in colors.items():
         parts += [attribute, domain, array]
     topology = arrays.digest(*parts)
-    key = arrays.digest(topology, position, normal)
+    key = arrays.digest(topology, position, normal, *([] if generated is None else [generated]))
     return lookup(key, build)
+
+
+def _generated(mesh: bpy.types.Mesh, position: np.ndarray) -> np.ndarray | None:
+    """(V, 3) float32: generated coordinates of vertices (V, 3), which lie in the texture space where they were before
+    modifiers deformed them, as Blender keeps them for renders; None: they are places within the mesh's bounds."""
+    rest = np.empty(position.size, np.float32)
+    mesh.vertices.foreach_get("undeformed_co", rest)
+    middle, half = (np.array(v, np.float32) for v in (mesh.texspace_location, mesh.texspace_size))
+    low, high = position.min(axis=0), position.max(axis=0)
+    rest = rest.reshape(-1, 3)
+    near = ROUNDED * max(float(np.abs([low, high]).max()), 1e-30)
+    flat = high <= low
+    whole = np.abs(np.where(flat, 0, [middle - half - low, middle + half - high])).max() <= near
+    if whole and np.abs(rest - position).max() <= near:
+        return None
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(half > 0, 0.5 * (rest - middle) / half + 0.5, np.float32(0.5)).astype(np.float32)
 
 
 def is_loose_vertices(mesh: bpy.types.Mesh) -> bool:
