@@ -116,6 +116,7 @@ RULES: dict[type, dict[str, Rule]] = {
     Instances: {
         "world_from_object": Rule(LATER),  # its product with the view can overflow, too: `drawable_transforms`
         "previous": Rule(DEFAULT, *_DISTANCE),  # the instance has not moved
+        "objects": _CORNER,
     },
     Geometry: {
         "spacing": Rule(DEFAULT, 0, FARTHEST),
@@ -134,7 +135,7 @@ RULES: dict[type, dict[str, Rule]] = {
     },
     Mesh: {
         "position": Rule(REMOVE, -LARGEST, LARGEST),
-        **dict.fromkeys(("vertex_normal", "corner_normal", "uv", "colors"), _CORNER),
+        **dict.fromkeys(("vertex_normal", "corner_normal", "uv", "colors", "generated", "objects"), _CORNER),
     },
     Strands: {
         "position": Rule(REMOVE, *_DISTANCE),

@@ -26,9 +26,9 @@ COUNTED = {
     PointCloud: {"material", "kernel", "disconnected", "facets"},
     Mesh: {"triangles", "material"},
     Strands: {"start", "material"},
-    MaterialTable: {"cull", "pass_index", "hash", "translucent"},
+    MaterialTable: {"cull", "pass_index", "hash", "translucent", "glass"},
     HairTable: {"used"},
-    Instances: {"geometry", "pass_index", "holdout", "matte", "casts", "seen", "object_hash"},
+    Instances: {"geometry", "pass_index", "holdout", "matte", "casts", "seen", "scatters", "object_hash"},
     v.Volume: {"index"},
 }
 
