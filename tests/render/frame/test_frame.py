@@ -336,7 +336,7 @@ def test_many_samples_are_the_mean_of_single_ones(name):
     """A sample `o` pixels beside the centre is a picture whose camera is shifted by `o` pixels."""
     case, samples = CASES[name](), 16
     case = replace(case, settings=replace(case.settings, use_adaptive_sampling=False))
-    passes = frozenset({"combined", "normal", "mist"})
+    passes = frozenset({"combined", "normal", "diffuse_color", "mist"})
     together = render(case, passes, samples).pixels
     single = []
     for x, y in offsets(samples):
