@@ -25,7 +25,7 @@ from pointsplat_addon.core.surface.appearance import CLIP, at_samples, corner_no
 from pointsplat_addon.core.surface.evaluation import Evaluated
 from pointsplat_addon.core.surface.samples import Samples
 from tests.reference import environment_lookup
-from tests.reference.lighting import Surface, shade
+from tests.reference.lighting import Surface, diffuse_color, shade
 
 BACKGROUND_DEPTH = 1e10
 _PAIRS = 1 << 20  # pixels times primitives that are met together
@@ -39,7 +39,7 @@ class Picture:
     depth: np.ndarray  # (H, W) float64 along the view axis, BACKGROUND_DEPTH where there is nothing
     position: np.ndarray  # (H, W, 3) float64, world space
     normal: np.ndarray  # (H, W, 3) float64, world space, unit, of the side that is seen
-    albedo: np.ndarray  # (H, W, 3) float64
+    diffuse_color: np.ndarray  # (H, W, 3) float64
     instance: np.ndarray  # (H, W) int, -1: none
     material: np.ndarray  # (H, W) int, -1: none
 
@@ -336,6 +336,8 @@ def _shaded(
     at, facing, toward = position[there], normal[there], to_eye[there]
     combined[there, :3] = shade(at, facing, toward, surface, scene.lights, world, atlas, plane[there])
     combined[there, 3] = 1
+    diffuse = np.zeros((len(start), 3))
+    diffuse[there] = diffuse_color(facing, toward, surface, plane[there])
     if scene.instances.holdout is not None:
         combined[there & scene.instances.holdout[hit.instance]] = 0
     only = there[:, None]
@@ -344,7 +346,7 @@ def _shaded(
         np.where(there, hit.depth, BACKGROUND_DEPTH).reshape(shape),
         np.where(only, position, 0).reshape(*shape, 3),
         np.where(only, normal, 0).reshape(*shape, 3),
-        np.where(only, hit.base * (1 - hit.surface[:, 1:]), 0).reshape(*shape, 3),
+        diffuse.reshape(*shape, 3),
         hit.instance.reshape(shape),
         hit.material.reshape(shape),
     )

@@ -62,17 +62,21 @@ def test_wide_balls_are_what_the_rays_meet(name):
 @pytest.mark.parametrize("name", POLYGONS)
 def test_polygons_are_where_the_reference_has_them(name):
     case = CASES[name]()
-    result, expected = render(case), opaque.picture(case.scene, case.camera)
+    result = render(case, ALL_PASSES | {"diffuse_color"})
+    expected = opaque.picture(case.scene, case.camera)
     np.testing.assert_array_equal(there(result), expected.depth < BACKGROUND_DEPTH)
     seen = there(result)
     error = np.abs(flat(result, "depth") / expected.depth - 1)[seen]
     assert error.max() < 2e-6  # measured 6e-7
     assert np.abs(result.pixels["position"] - expected.position)[seen].max() < 1e-5  # measured 2.3e-6
     assert np.abs(result.pixels["normal"] - expected.normal).max() < 1e-3  # measured 2.9e-4: 24 bits, and half floats
+    assert (
+        np.abs(result.pixels["diffuse_color"] - expected.diffuse_color).max() < 1e-4
+    )  # measured 4.3e-5: the table's rounding
     assert np.abs(result.pixels["combined"] - expected.combined).max() < 1e-3  # measured 1.7e-4
     np.testing.assert_array_equal(flat(result, "object_index")[seen], expected.instance[seen] + 1)
     np.testing.assert_array_equal(flat(result, "material_index")[seen], expected.material[seen] + 10)
-    for name in ("object_index", "material_index", "normal", "position"):
+    for name in ("object_index", "material_index", "diffuse_color", "normal", "position"):
         assert not result.pixels[name][~seen].any()
 
 

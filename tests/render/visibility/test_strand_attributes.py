@@ -66,10 +66,25 @@ def test_attributes_and_light_are_those_of_many_samples(name):
 
 # Pass, root mean square of the difference, difference of the means. Measured: about two thirds of these.
 BOUNDS = {
-    "tubes": (("combined", 0.004, 1e-4), ("diffuse_color", 0.004, 1e-4), ("normal", 0.004, 1e-4), ("mist", 0.006, 1e-4)),
-    "ribbons": (("combined", 0.005, 1e-4), ("diffuse_color", 0.006, 1e-4), ("normal", 0.004, 1e-4), ("mist", 0.005, 2e-4)),
+    "tubes": (
+        ("combined", 0.004, 1e-4),
+        ("diffuse_color", 0.004, 1e-4),
+        ("normal", 0.004, 1e-4),
+        ("mist", 0.006, 1e-4),
+    ),
+    "ribbons": (
+        ("combined", 0.005, 1e-4),
+        ("diffuse_color", 0.006, 1e-4),
+        ("normal", 0.004, 1e-4),
+        ("mist", 0.005, 2e-4),
+    ),
     "hair": (("combined", 0.015, 2e-3), ("diffuse_color", 0.02, 1e-3), ("normal", 0.015, 2e-3), ("mist", 0.02, 2e-3)),
-    "strands": (("combined", 0.012, 3e-4), ("diffuse_color", 0.025, 3e-4), ("normal", 0.02, 1e-3), ("mist", 0.03, 4e-4)),
+    "strands": (
+        ("combined", 0.012, 3e-4),
+        ("diffuse_color", 0.025, 3e-4),
+        ("normal", 0.02, 1e-3),
+        ("mist", 0.03, 4e-4),
+    ),
 }
 
 
