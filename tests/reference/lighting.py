@@ -123,7 +123,7 @@ def reflecting_normal(normal: np.ndarray, plane: np.ndarray, to_eye: np.ndarray)
 def diffuse_color(
     normal: np.ndarray, to_eye: np.ndarray, surface: Surface, plane: np.ndarray | None = None
 ) -> np.ndarray:
-    """The share (N, 3) float64 of even light that comes back to the eye by the diffuse lobe. Arguments: as of `shade`."""
+    """The share (N, 3) float64 of even light that comes back by the diffuse lobe. Arguments: as of `shade`."""
     normal, to_eye = (np.asarray(a, float) for a in (normal, to_eye))
     plane = np.zeros_like(normal) if plane is None else np.asarray(plane, float)
     reflecting = reflecting_normal(normal, plane, to_eye)
