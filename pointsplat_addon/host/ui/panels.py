@@ -294,7 +294,8 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
     def _visibility(self, ob, layout):
         column = layout.column(heading="Visibility")
         column.prop(ob, "visible_camera", text="Camera")
-        column.prop(ob, "visible_diffuse", text="Diffuse")
+        if not is_captured(ob.data):  # captured splats light nothing, and hide no sky
+            column.prop(ob, "visible_diffuse", text="Diffuse")
         column.prop(ob, "visible_shadow", text="Shadow")
         if ob.type == "MESH":
             column.prop(ob, "is_shadow_catcher")
