@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import Future, wait
 from dataclasses import replace
 from operator import attrgetter
@@ -22,7 +23,7 @@ from ..render.device.protocol import DeviceError
 from ..render.passes.outputs import BY_KEY, CRYPTO, LIGHT_PASSES, PASSES, RenderPass
 from ..render.plan.request import Request, Result
 from ..render.renderer import Renderer
-from . import command_line, disk_cache, parts
+from . import command_line, disk_cache, motion_blur, parts
 from .convert.camera import render_camera
 from .convert.objects import collect
 from .device import device_costs, gl_thread, libraries, main_gpu
@@ -77,10 +78,17 @@ class FinalRender:
         else:
             FinalRender.last_scene = scene
         scene = with_pixel_radii(scene, camera)
+        times = motion_blur.moments(depsgraph.scene_eval.render, 0 if engine.is_preview else settings.samples)
         levels = depsgraph.view_layer_eval.pass_cryptomatte_depth
         request = Request(camera, settings, wanted, settings.samples, crypto_levels=levels, part=_part(settings))
         layer = depsgraph.scene.view_layers.find(depsgraph.view_layer.name)
-        result, problems = _drawn_or_joined(engine, scene, request, layer)
+
+        def draw() -> tuple[Result, list[str]]:
+            if len(times):
+                return self._draw_moments(engine, depsgraph, times, scene, request)
+            return _draw(engine, scene, request)
+
+        result, problems = _drawn_or_joined(engine, draw, request, layer)
         if not result.cancelled and request.part == (0, 1):
             _write(engine, depsgraph.view_layer_eval.name, scene, result, camera.window[2:])
         messages = dict.fromkeys((*warnings, *scene.warnings, *problems, *result.report.get("warnings", ())))
@@ -88,6 +96,30 @@ class FinalRender:
             for warning in messages:
                 engine.report({"WARNING"}, warning)
         return {**result.report, "seconds": time.perf_counter() - started, "warnings": list(messages)}
+
+    def _draw_moments(
+        self,
+        engine: bpy.types.RenderEngine,
+        depsgraph: bpy.types.Depsgraph,
+        times: np.ndarray,
+        scene: scene_module.Scene,
+        request: Request,
+    ) -> tuple[Result, list[str]]:
+        """Draw with motion blur. The dependency graph is at the present frame again afterwards."""
+        frame, subframe = depsgraph.scene.frame_current, depsgraph.scene.frame_subframe
+
+        def show(time: float) -> motion_blur.Shown:
+            at = frame + subframe + float(time)
+            engine.frame_set(int(np.floor(at)), at - np.floor(at))
+            self.synchronizer.forget()
+            camera, _ = _camera(engine, depsgraph)
+            return with_pixel_radii(self.synchronizer.scene(depsgraph), camera), camera
+
+        try:
+            return motion_blur.draw(times, show, lambda *given: _draw(engine, *given), scene, request)
+        finally:
+            engine.frame_set(frame, subframe)
+            self.synchronizer.forget()
 
 
 def _camera(
@@ -128,14 +160,14 @@ def _part(settings: Settings) -> tuple[int, int]:
 
 
 def _drawn_or_joined(
-    engine: bpy.types.RenderEngine, scene: scene_module.Scene, request: Request, layer: int
+    engine: bpy.types.RenderEngine, draw: Callable[[], tuple[Result, list[str]]], request: Request, layer: int
 ) -> tuple[Result, list[str]]:
     """The picture, drawn or joined of its parts, and problems with the device; a part of it is kept as well."""
     asked = parts.asked
     if asked is not None and asked.index is None:
         size = request.camera.window[2:]
         return parts.joined(asked, layer, size, lambda text: engine.update_stats("", text)), []
-    result, problems = _draw(engine, scene, request)
+    result, problems = draw()
     if asked is not None and not result.cancelled:
         parts.save(asked, layer, result)
     return result, problems

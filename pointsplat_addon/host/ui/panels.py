@@ -164,6 +164,31 @@ class POINTSPLAT_RENDER_PT_depth_of_field(_Panel, bpy.types.Panel):
         row.prop(context.scene.pointsplat, "dof_method", text="Method")
 
 
+class POINTSPLAT_RENDER_PT_motion_blur(_Panel, bpy.types.Panel):
+    bl_label = "Motion Blur"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw_header(self, context):
+        self.layout.prop(context.scene.render, "use_motion_blur", text="")
+
+    def draw(self, context):
+        layout, render = self.split_layout(), context.scene.render
+        layout.active = render.use_motion_blur
+        layout.prop(render, "motion_blur_position", text="Position")
+        layout.prop(render, "motion_blur_shutter")
+
+
+class POINTSPLAT_RENDER_PT_shutter_curve(_Panel, bpy.types.Panel):
+    bl_label = "Shutter Curve"
+    bl_parent_id = "POINTSPLAT_RENDER_PT_motion_blur"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        layout, render = self.layout, context.scene.render
+        layout.active = render.use_motion_blur
+        layout.template_curve_mapping(render, "motion_blur_shutter_curve")
+
+
 class POINTSPLAT_RENDER_PT_film(_Panel, bpy.types.Panel):
     bl_label = "Film"
     bl_options = {"DEFAULT_CLOSED"}
@@ -337,6 +362,8 @@ CLASSES = (
     POINTSPLAT_RENDER_PT_shadows,
     POINTSPLAT_RENDER_PT_eye_dome,
     POINTSPLAT_RENDER_PT_depth_of_field,
+    POINTSPLAT_RENDER_PT_motion_blur,
+    POINTSPLAT_RENDER_PT_shutter_curve,
     POINTSPLAT_RENDER_PT_film,
     POINTSPLAT_RENDER_PT_performance,
     POINTSPLAT_RENDER_PT_last_render,

@@ -71,7 +71,9 @@ class Frame:
             scene, request, renderer.store, self.device.limits, renderer.costs, self.clock, presented, picture
         )
         self.view = self.frame_plan.view  # of the sample that is drawn
-        self.done = 0
+        # Samples before it are not drawn.
+        self.first = request.moment[0] if self.frame_plan.request.samples == request.moment[1] else 0
+        self.done = self.first
         self.ended = False  # before all samples were drawn
         self.hurried = False  # presented only when it has ended
         self.beside: Frame | None = None
@@ -211,9 +213,9 @@ class Frame:
         if self.complete:
             return False
         if not self.frame_plan.trivial:
-            self._draw_sample(self.done == 0)
+            self._draw_sample(self.done == self.first)
         self.done += 1
-        if self.adaptive is not None and self.done < self.frame_plan.request.samples:
+        if self.adaptive is not None and not self.complete:
             adaptive = self.adaptive
             self.clock.run("adapt", lambda: self._adapt(adaptive))
         if self.presented:
@@ -231,8 +233,9 @@ class Frame:
     @property
     def complete(self) -> bool:
         """Whether no sample is missing."""
-        enough = self.done >= self.frame_plan.request.samples or (self.adaptive is not None and self.adaptive.finished)
-        return self.ended or enough
+        request = self.frame_plan.request
+        last = request.samples if request.moment[1] == 1 else self.first + 1
+        return self.ended or self.done >= last or (self.adaptive is not None and self.adaptive.finished)
 
     def _draw_sample(self, first: bool) -> None:
         plan = self.frame_plan.plan
@@ -375,7 +378,7 @@ class Frame:
         """Gathers the splats that are out of focus into the picture so far."""
         if self.out_of_focus is not None:
             behind, texels = self.shading.backdrop_textures, self.shading.backdrop_texels
-            self.out_of_focus.gather(self.done, self._centred(), behind, texels, self.adaptive)
+            self.out_of_focus.gather(self.done - self.first, self._centred(), behind, texels, self.adaptive)
 
     # Between samples
 
@@ -421,7 +424,7 @@ class Frame:
         if self.frame_plan.trivial:
             self._present_constant()
             return
-        weight = 1.0 if self.out_of_focus is not None else 1 / max(self.done, 1)
+        weight = 1.0 if self.out_of_focus is not None else 1 / max(self.done - self.first, 1)
         adaptive = self.adaptive if self.out_of_focus is None else None
         counts = None if adaptive is None else adaptive.known
         camera = self.frame_plan.request.camera
@@ -452,7 +455,11 @@ class Frame:
 
     def counts(self) -> np.ndarray | int:
         """Returns how many samples each pixel has: (H, W, 1) float32, or one number for all pixels."""
-        return max(self.done, 1) if self.adaptive is None else self.frame_plan.cropped(self.adaptive.samples(self.done))
+        return (
+            max(self.done - self.first, 1)
+            if self.adaptive is None
+            else self.frame_plan.cropped(self.adaptive.samples(self.done))
+        )
 
     def in_focus(self) -> np.ndarray | None:
         """Returns the share of each pixel that is in focus, (H, W, 1) float32; None if nothing is out of focus."""

@@ -20,9 +20,9 @@ def report(frame: Frame, seconds: float) -> dict[str, Any]:
         "points": {
             "total": frame_plan.prepared.total,
             "cut": frame_plan.splats,
-            "drawn": frame_plan.splats * frame.done,
+            "drawn": frame_plan.splats * (frame.done - frame.first),
         },
-        "samples": frame.done * max(frame_plan.plan.sub_samples, 1),
+        "samples": (frame.done - frame.first) * max(frame_plan.plan.sub_samples, 1),
         "technique": {"name": frame_plan.technique.name, "because": frame_plan.technique.because},
         "triangles": frame_plan.triangles,
         "lines": {"strands": frame_plan.strands, "segments": frame_plan.segments, "drawn": drawn},

@@ -11,7 +11,7 @@ import numpy as np
 from ...core.lens.backdrop import why_not_blurred
 from ...core.lens.thin_lens import uses_lens_samples
 from ...core.lod.cost import Costs
-from ...core.numeric.lattice import lattice_for
+from ...core.numeric.lattice import FEW, lattice_for
 from ...core.numeric.pixel_filter import filter_reach
 from ...core.numeric.record import record
 from ...core.scene.camera import Camera
@@ -178,7 +178,7 @@ def make_frame_plan(
     if captured and camera.aperture is not None:
         # The pass `defocus` has no captured splats.
         request = replace(request, settings=replace(request.settings, dof_method="LENS_SAMPLES"))
-    lattice = lattice_for(request.samples, request.interactive)
+    lattice = FEW if request.moment[1] > 1 else lattice_for(request.samples, request.interactive)
     through_lens = uses_lens_samples(camera, request.settings) and request.samples > 1
     decided = decide_technique(
         TechniqueInput(request.settings, scene, request.samples, request.interactive, through_lens, limits.float_blend)
@@ -237,7 +237,8 @@ def make_frame_plan(
     alone = bool(prepared.translucent.point_sets) and several and hard
     if technique.name == "VISIBILITY" and (_has_opaque(prepared) or alone):
         sub_samples = lattice.count
-        request = replace(request, samples=-(-request.samples // sub_samples))
+        if request.moment[1] == 1:
+            request = replace(request, samples=-(-request.samples // sub_samples))
     elif prepared.captured and not _has_opaque(prepared) and not through_lens:
         # Captured splats have the pixel filter in them.
         request = replace(request, samples=1)

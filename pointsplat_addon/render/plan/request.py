@@ -29,6 +29,8 @@ class Request:
     node: float = NODE_SIZE
     # (k, n): of the picture's tiles the k-th of n parts is drawn, from 0; all n together are the picture, to the bit.
     part: tuple[int, int] = (0, 1)
+    # (k, n): of a picture of n samples, each at a moment of its own, the k-th alone is drawn, from 0; `samples` is n.
+    moment: tuple[int, int] = (0, 1)
     term: Term | None = None  # Combined is this term of the light alone; None: all of it
 
 
