@@ -27,6 +27,7 @@ class World:
     image: np.ndarray | None = None  # (H, W, 3) float32 radiance, row 0 at the bottom (-Z), Blender's equirect layout
     world_rotation: np.ndarray = field(default_factory=lambda: np.eye(3))  # (3, 3) image_from_world
     fog: Fog | None = None
+    seen: World | None = None  # what cameras see instead, without fog of its own; None: the same
 
 
 @record

@@ -5,9 +5,9 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ...core.scene.lights import Light
-from .material.nodes.table import constant_value
-from .material.nodes.tree import resolve
+from ....core.scene.lights import Light
+from ..material.nodes.table import constant_value
+from ..material.nodes.tree import resolve
 
 
 def convert_lights(depsgraph: bpy.types.Depsgraph) -> tuple[list[Light], list[str]]:

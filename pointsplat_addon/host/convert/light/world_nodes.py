@@ -1,0 +1,103 @@
+"""Nodes that mean something else in a world than in a material: the position is the direction that is looked in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ....core.material.expression import Expression
+from ....core.material.nodes import color_nodes, direction_nodes, input_nodes, texture_nodes, world_nodes
+from ..material.images import convert_image
+from ..material.nodes.table import NODES
+from ..material.nodes.tree import NodeConverter, NodeReader, Outputs, TreeReader, UnsupportedNodeError
+
+DIRECTION, BACK = input_nodes.Coordinates("position"), input_nodes.Coordinates("normal")
+ZERO, ONE, BLACK = (input_nodes.Constant(value) for value in ((0.0,), (1.0,), (0.0, 0.0, 0.0)))
+CAMERA, DIFFUSE, GLOSSY = "Is Camera Ray", "Is Diffuse Ray", "Is Glossy Ray"  # kinds of rays, by their output's name
+
+
+def world_reader(name: str, ray: str) -> TreeReader:
+    """A reader for the nodes of a world of this name, as rays of one kind see them: CAMERA, DIFFUSE or GLOSSY."""
+    return _WorldReader(name, NODES | WORLD_NODES | {"ShaderNodeLightPath": _light_path(ray)})
+
+
+class _WorldReader(TreeReader):
+    """A reader whose warnings name a world."""
+
+    kind = "World"
+
+
+def _texture_coordinates(node: NodeReader) -> Outputs:
+    other = node.node.object
+    here: Expression = DIRECTION
+    if other is not None:
+        matrix = np.linalg.pinv(np.array(other.matrix_world))[:3]
+        here = world_nodes.Transformed(DIRECTION, input_nodes.Constant(tuple(matrix.ravel().tolist())))
+    return {"Generated": DIRECTION, "Object": here, "Normal": BACK, "Reflection": BACK, "UV": BLACK}
+
+
+def _geometry(node: NodeReader) -> Outputs:
+    dark = ("Backfacing", "Pointiness", "Random Per Island")
+    return {
+        "Position": DIRECTION,
+        "Normal": BACK,
+        "True Normal": BACK,
+        "Incoming": BACK,
+        "Parametric": input_nodes.Constant((1.0, 0.0, 0.0)),
+        **dict.fromkeys(dark, ZERO),
+    }
+
+
+def _light_path(ray: str) -> NodeConverter:
+    def convert(node: NodeReader) -> Outputs:
+        """What is the same of all rays of a kind, whether or not they have met something before."""
+        reflected = ("Is Reflection Ray",) if ray != CAMERA else ()
+        names = {s.identifier for s in node.node.outputs} - {"Ray Length", "Transmission Depth", "Portal Depth"}
+        counted = {"Ray Depth", "Diffuse Depth", "Glossy Depth"} if ray != CAMERA else set()
+        return {
+            name: ONE if name == ray or name in reflected or (name == "Ray Depth" and ray == CAMERA) else ZERO
+            for name in names - counted
+        }
+
+    return convert
+
+
+def _environment(node: NodeReader) -> Outputs:
+    texture = node.node
+    image, problem = convert_image(texture.image)
+    if problem is not None:
+        node.warn(problem)
+    vector = node["Vector"] if node.linked("Vector") else DIRECTION
+    project = direction_nodes.MirrorBall if texture.projection == "MIRROR_BALL" else direction_nodes.Equirectangular
+    interpolation = "Cubic" if texture.interpolation == "Smart" else texture.interpolation
+    return {"Color": color_nodes.Color(texture_nodes.ImageTexture(project(vector), image, interpolation))}
+
+
+def _nothing(*names: str) -> Callable[[NodeReader], Outputs]:
+    """A converter of nodes that read objects, of which worlds know nothing: all is 0, as in Cycles."""
+
+    def convert(node: NodeReader) -> Outputs:
+        found = {s.identifier: BLACK if s.type in ("VECTOR", "RGBA") else ZERO for s in node.node.outputs}
+        return found | dict.fromkeys(names, ONE)
+
+    return convert
+
+
+def _attribute(node: NodeReader) -> Outputs:
+    if node.node.attribute_type == "VIEW_LAYER":
+        raise UnsupportedNodeError("reads a property of the view layer")
+    return _nothing()(node)
+
+
+WORLD_NODES: dict[str, NodeConverter] = {
+    "ShaderNodeTexCoord": _texture_coordinates,
+    "ShaderNodeNewGeometry": _geometry,
+    "ShaderNodeTexEnvironment": _environment,
+    "ShaderNodeObjectInfo": _nothing(),
+    "ShaderNodeParticleInfo": _nothing(),
+    "ShaderNodeHairInfo": _nothing(),
+    "ShaderNodeVertexColor": _nothing(),
+    "ShaderNodeUVMap": _nothing(),
+    "ShaderNodeAttribute": _attribute,
+}
