@@ -19,7 +19,7 @@ TEXELS = 3
 
 def without_far_light(scene: Scene) -> Scene:
     """Returns a scene whose suns and world have what the fog of its world leaves of them, which is no light in
-    channels that it absorbs or scatters."""
+    channels that it absorbs or scatters. In the others cameras see the world that lights."""
     fog = scene.world.fog
     if fog is None:
         return scene
@@ -30,6 +30,7 @@ def without_far_light(scene: Scene) -> Scene:
         scene.world,
         color=scene.world.color * clear,
         image=None if image is None or not clear.any() else image * clear.astype(np.float32),
+        seen=None,
     )
     return replace(
         scene,

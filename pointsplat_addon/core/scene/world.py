@@ -29,6 +29,11 @@ class World:
     fog: Fog | None = None
     seen: World | None = None  # what cameras see instead, without fog of its own; None: the same
 
+    @property
+    def behind(self) -> World:
+        """What cameras see behind everything."""
+        return self if self.seen is None else self.seen
+
 
 @record
 class Mist:

@@ -11,7 +11,7 @@ from ..material.expression import Expression, SampleInputs, evaluate, walk
 from ..material.nodes.texture_nodes import ImageTexture
 
 NARROWEST, WIDEST = 64, WIDTHS[-1]  # texels of a picture's width
-RELATIVE, OF_MEAN = 4e-3, 5e-3  # error between texels that is not seen: of the value, and of the picture's mean
+RELATIVE, OF_MEAN = 0.01, 0.01  # error between texels that is not seen: of the value, and of the picture's mean
 QUARTERS = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))  # texels: where four samples of a texel lie
 
 

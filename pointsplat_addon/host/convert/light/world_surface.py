@@ -24,6 +24,11 @@ EMITTERS = {"ShaderNodeBackground", "ShaderNodeEmission"}
 _pictures = Cache(CACHE_BYTES)
 
 
+def clear() -> None:
+    """Forget all pictures."""
+    _pictures.clear()
+
+
 def radiance(tree: TreeReader, socket: bpy.types.NodeSocket, path: Path = ()) -> Expression:
     """The radiance (N | 1, 3) of what feeds a shader's input: black if nothing does.
 

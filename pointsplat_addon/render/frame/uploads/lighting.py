@@ -72,10 +72,16 @@ class LightingUploads:
         self._lights: Texture | None = None
         self._environment: Texture | None = None
         self.levels: Texture | None = None  # of the environment, each half as wide: passes/shading/backdrop.py
-        if "PS_HAS_ENVIRONMENT" in (*plan.lighting, *plan.world) and scene.world.image is not None:
-            self._environment = self._upload_environment(scene.world.image)
-            if plan.backdrop:
-                self.levels = self._upload_levels(scene.world.image)
+        world = scene.world
+        reading = (*plan.lighting, *(plan.world if world.seen is None else ()))
+        if "PS_HAS_ENVIRONMENT" in reading and world.image is not None:
+            self._environment = self._upload_environment(world.image)
+        self._seen: Texture | None = None  # the environment and the lights' table of the world that cameras see,
+        self._seen_lights: Texture | None = None  # if it is another one
+        if world.seen is not None and "PS_HAS_ENVIRONMENT" in plan.world and world.seen.image is not None:
+            self._seen = self._upload_environment(world.seen.image)
+        if plan.backdrop and world.behind.image is not None:
+            self.levels = self._upload_levels(world.behind.image)
         self._shadow_tables = None if self._tables is None else self._upload_tables(self._tables)
         self._shadow_maps: Texture | None = None
         self._shadow_panes: Texture | None = None
@@ -96,6 +102,11 @@ class LightingUploads:
             shadow_panes=self._shadow_panes, pane_lights=self._pane_records,
             pane_faces=self._face_records,
         )  # fmt: skip
+
+    @property
+    def behind(self) -> dict[str, Texture]:
+        """What passes read that draw the world behind everything, by sampler name."""
+        return self.textures | bound_textures(lights=self._seen_lights, environment=self._seen)
 
     @property
     def lacks_maps(self) -> bool:
@@ -151,6 +162,10 @@ class LightingUploads:
         if self._plan.lighting or self._plan.world:
             rows = light_texture(scene.lights, scene.world, camera.view_from_world, *self._surface, near=camera.near)
             self._lights = self._scope.view_texture(rows)
+            self._seen_lights = None
+            if scene.world.seen is not None and self._plan.world:
+                rows = light_texture((), scene.world.seen, camera.view_from_world)
+                self._seen_lights = self._scope.view_texture(rows)
         records = self._records(camera.view_from_world)
         self._table_records = records["shadow_lights"]
         self._map_records = records["map_lights"]
