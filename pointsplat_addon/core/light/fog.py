@@ -25,11 +25,15 @@ def without_far_light(scene: Scene) -> Scene:
         return scene
     clear = np.asarray(fog.extinction) <= 0
     lights = [replace(x, color=x.color * clear) if x.kind == "SUN" else x for x in scene.lights]
-    image = scene.world.image
+    image, mirrored = (
+        None if picture is None or not clear.any() else picture * clear.astype(np.float32)
+        for picture in (scene.world.image, scene.world.mirrored)
+    )
     world = replace(
         scene.world,
         color=scene.world.color * clear,
-        image=None if image is None or not clear.any() else image * clear.astype(np.float32),
+        image=image,
+        mirrored=mirrored,
         seen=None,
     )
     return replace(

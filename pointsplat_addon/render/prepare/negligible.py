@@ -180,6 +180,8 @@ def _world_or_black(scene: Scene, bounds: Reflection) -> World:
     world = scene.world
     seen = None if scene.transparent else world.seen
     each = max(bounds.world, 0.0 if scene.transparent or seen is not None else 1.0)
+    if world.mirrored is not None and bounds.world > 0.0:
+        return world
     values = np.asarray(world.color if world.image is None else world.image).reshape(-1)
     if world.image is None and not (values > 0).any():
         return world

@@ -13,7 +13,7 @@ from ..material.nodes.table import NODES
 from ..material.nodes.tree import NodeConverter, NodeReader, Outputs, TreeReader, UnsupportedNodeError
 
 DIRECTION, BACK = input_nodes.Coordinates("position"), input_nodes.Coordinates("normal")
-ZERO, ONE, BLACK = (input_nodes.Constant(value) for value in ((0.0,), (1.0,), (0.0, 0.0, 0.0)))
+ZERO, ONE, TWO, BLACK = (input_nodes.Constant(value) for value in ((0.0,), (1.0,), (2.0,), (0.0, 0.0, 0.0)))
 CAMERA, DIFFUSE, GLOSSY = "Is Camera Ray", "Is Diffuse Ray", "Is Glossy Ray"  # kinds of rays, by their output's name
 
 
@@ -51,14 +51,12 @@ def _geometry(node: NodeReader) -> Outputs:
 
 def _light_path(ray: str) -> NodeConverter:
     def convert(node: NodeReader) -> Outputs:
-        """What is the same of all rays of a kind, whether or not they have met something before."""
-        reflected = ("Is Reflection Ray",) if ray != CAMERA else ()
-        names = {s.identifier for s in node.node.outputs} - {"Ray Length", "Transmission Depth", "Portal Depth"}
-        counted = {"Ray Depth", "Diffuse Depth", "Glossy Depth"} if ray != CAMERA else set()
-        return {
-            name: ONE if name == ray or name in reflected or (name == "Ray Depth" and ray == CAMERA) else ZERO
-            for name in names - counted
-        }
+        """Values of rays from the camera, or that one surface has reflected."""
+        found = dict.fromkeys((s.identifier for s in node.node.outputs if s.identifier != "Ray Length"), ZERO)
+        found |= {ray: ONE, "Ray Depth": ONE}
+        if ray != CAMERA:
+            found |= {"Is Reflection Ray": ONE, "Ray Depth": TWO, f"{ray.split()[1]} Depth": ONE}
+        return found
 
     return convert
 

@@ -66,9 +66,16 @@ def graph_world(name: str, socket: bpy.types.NodeSocket) -> tuple[World, list[Li
         seen[ray] = radiance(tree, socket)
         warnings += tree.warnings
     world = _world_of(seen[DIFFUSE])
-    if seen[CAMERA].digest != seen[DIFFUSE].digest:
+    if seen[GLOSSY].digest != seen[DIFFUSE].digest:
+        world = replace(world, image=_picture(world), mirrored=_picture(_world_of(seen[GLOSSY])))
+    if seen[CAMERA].digest != seen[DIFFUSE].digest or world.mirrored is not None:
         world = replace(world, seen=_world_of(seen[CAMERA]))
     return world, [], list(dict.fromkeys(warnings))
+
+
+def _picture(world: World) -> np.ndarray:
+    """The picture (H, W, 3) float32 of a world, of one colour, too."""
+    return np.full((1, 2, 3), world.color, np.float32) if world.image is None else world.image
 
 
 def _world_of(value: Expression) -> World:
