@@ -39,8 +39,13 @@ def direction_from_uv(uv: np.ndarray) -> np.ndarray:
 
 def texel_directions(width: int, height: int) -> np.ndarray:
     """(height, width, 3) unit vectors through the texel centres, row 0 at the bottom."""
+    return direction_from_uv(texel_uv(width, height))
+
+
+def texel_uv(width: int, height: int) -> np.ndarray:
+    """(height, width, 2) UVs of the texel centres, row 0 at the bottom."""
     u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
-    return direction_from_uv(np.stack([u, v], -1))
+    return np.stack([u, v], -1)
 
 
 def bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
@@ -111,8 +116,7 @@ def _resample(image: np.ndarray, width: int, height: int) -> np.ndarray:
     if width >= w and height >= h:
         if (width, height) == (w, h):
             return image
-        u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
-        return bilinear(image, np.stack([u, v], -1))
+        return bilinear(image, texel_uv(width, height))
     return _box(_box(image, height).swapaxes(0, 1), width).swapaxes(0, 1)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...numeric.record import record
+from ...sky.sky import Disc, Sky
 from ..expression import Expression, SampleInputs
 from .math_functions import normalize_rows
 
@@ -34,3 +35,17 @@ class MirrorBall(Expression):
     def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
         normal = normalize_rows(normalize_rows(values[0]) - np.array([0, 1, 0], np.float32))
         return np.stack([0.5 + 0.5 * normal[:, 0], 0.5 + 0.5 * normal[:, 2], np.zeros(len(normal))], axis=1)
+
+
+@record
+class SkyTexture(Expression):
+    """The colour (N, 3) of a sky in directions, with the sun's disc if there is one; none is negative, as in Cycles."""
+
+    direction: Expression
+    sky: Sky
+    disc: Disc | None = None
+
+    def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
+        direction = normalize_rows(values[0].astype(float))
+        found = self.sky.radiance(direction)
+        return np.maximum(found if self.disc is None else found + self.disc.radiance(direction), 0)

@@ -8,24 +8,31 @@ import numpy as np
 
 from ....core.material.expression import Expression
 from ....core.material.nodes import color_nodes, direction_nodes, input_nodes, texture_nodes, world_nodes
+from ....core.sky.scattering import Atmosphere
+from ....core.sky.sky import Disc, Sky
 from ..material.images import convert_image
 from ..material.nodes.table import NODES
 from ..material.nodes.tree import NodeConverter, NodeReader, Outputs, TreeReader, UnsupportedNodeError
 
 DIRECTION, BACK = input_nodes.Coordinates("position"), input_nodes.Coordinates("normal")
 ZERO, ONE, TWO, BLACK = (input_nodes.Constant(value) for value in ((0.0,), (1.0,), (2.0,), (0.0, 0.0, 0.0)))
+MODELS = {"NISHITA": "SINGLE_SCATTERING"}  # names before Blender 5
+SCATTERED = ("SINGLE_SCATTERING", "MULTIPLE_SCATTERING")
 CAMERA, DIFFUSE, GLOSSY = "Is Camera Ray", "Is Diffuse Ray", "Is Glossy Ray"  # kinds of rays, by their output's name
 
 
-def world_reader(name: str, ray: str) -> TreeReader:
-    """A reader for the nodes of a world of this name, as rays of one kind see them: CAMERA, DIFFUSE or GLOSSY."""
-    return _WorldReader(name, NODES | WORLD_NODES | {"ShaderNodeLightPath": _light_path(ray)})
+class WorldReader(TreeReader):
+    """A reader for the nodes of a world of this name, as rays of one kind see them: CAMERA, DIFFUSE or GLOSSY.
 
-
-class _WorldReader(TreeReader):
-    """A reader whose warnings name a world."""
+    suns: whether skies show the sun's disc.
+    """
 
     kind = "World"
+
+    def __init__(self, name: str, ray: str, suns: bool) -> None:
+        super().__init__(name, NODES | WORLD_NODES | {"ShaderNodeLightPath": _light_path(ray)})
+        self.suns = suns
+        self.discs: list[Disc] = []  # that skies have, whether or not they show them
 
 
 def _texture_coordinates(node: NodeReader) -> Outputs:
@@ -72,6 +79,33 @@ def _environment(node: NodeReader) -> Outputs:
     return {"Color": color_nodes.Color(texture_nodes.ImageTexture(project(vector), image, interpolation))}
 
 
+def _sky(node: NodeReader) -> Outputs:
+    texture, tree = node.node, node.tree
+    kind = MODELS.get(texture.sky_type, texture.sky_type)
+    elevation, rotation = texture.sun_elevation, texture.sun_rotation
+    if kind in SCATTERED:
+        flat = np.cos(elevation)
+        sun = (flat * np.sin(rotation), flat * np.cos(rotation), np.sin(elevation))
+    else:
+        sun = np.array(texture.sun_direction, float)
+        sun = sun / np.linalg.norm(sun) if sun.any() else np.array([0.0, 0.0, 1.0])
+    aerosol = texture.aerosol_density if hasattr(texture, "aerosol_density") else texture.dust_density
+    air = Atmosphere(texture.altitude, texture.air_density, aerosol, texture.ozone_density)
+    toward = tuple(float(v) for v in sun)
+    # What a model does not read is left out, so that it changes no picture.
+    sky = Sky(kind, toward, atmosphere=air) if kind in SCATTERED else Sky(kind, toward, texture.turbidity)
+    if kind == "HOSEK_WILKIE":
+        node.warn("shows the sky of Preetham, not of Hosek and Wilkie, whose tables are not there")
+    vector = node["Vector"] if node.linked("Vector") else DIRECTION
+    disc = None
+    if kind in SCATTERED and texture.sun_disc and texture.sun_size > 0:
+        disc = Disc(sky, texture.sun_size / 2, texture.sun_intensity)
+        assert isinstance(tree, WorldReader)
+        tree.discs.append(disc)
+        disc = disc if tree.suns else None
+    return {"Color": direction_nodes.SkyTexture(vector, sky, disc)}
+
+
 def _nothing(*names: str) -> Callable[[NodeReader], Outputs]:
     """A converter of nodes that read objects, of which worlds know nothing: all is 0, as in Cycles."""
 
@@ -92,6 +126,7 @@ WORLD_NODES: dict[str, NodeConverter] = {
     "ShaderNodeTexCoord": _texture_coordinates,
     "ShaderNodeNewGeometry": _geometry,
     "ShaderNodeTexEnvironment": _environment,
+    "ShaderNodeTexSky": _sky,
     "ShaderNodeObjectInfo": _nothing(),
     "ShaderNodeParticleInfo": _nothing(),
     "ShaderNodeHairInfo": _nothing(),

@@ -11,12 +11,13 @@ from ....core.material.expression import Expression, constant
 from ....core.material.nodes import color_nodes, math_nodes
 from ....core.scene.lights import Light
 from ....core.scene.world import World
-from ....core.sky.picture import picture_of
+from ....core.sky.picture import picture_of, radiance_at
+from ....core.sky.sky import Disc
 from ....render.cache.cache import Cache
 from ....render.cache.keys import Key, Kind
 from ..material.nodes.tree import Path, TreeReader, convert_socket_type, resolve
 from ..material.surface import BLACK, ONE, ZERO, is_constant, scale_color
-from .world_nodes import CAMERA, DIFFUSE, GLOSSY, world_reader
+from .world_nodes import CAMERA, DIFFUSE, GLOSSY, WorldReader
 
 CACHE_BYTES = 1 << 28  # of pictures of worlds, so that the same graph is the same picture
 EMITTERS = {"ShaderNodeBackground", "ShaderNodeEmission"}
@@ -61,16 +62,29 @@ def graph_world(name: str, socket: bpy.types.NodeSocket) -> tuple[World, list[Li
     """The world of a graph of nodes, from the input of its output node, the suns of its skies, and warnings."""
     warnings: list[str] = []
     seen: dict[str, Expression] = {}
+    suns: list[Light] = []
     for ray in (DIFFUSE, GLOSSY, CAMERA):
-        tree = world_reader(name, ray)
+        tree = WorldReader(name, ray, suns=ray == CAMERA)
         seen[ray] = radiance(tree, socket)
         warnings += tree.warnings
+        if ray == DIFFUSE and tree.discs:
+            shining = radiance(WorldReader(name, ray, suns=True), socket)
+            suns = [_sun(disc, seen[ray], shining) for disc in dict.fromkeys(tree.discs)]
     world = _world_of(seen[DIFFUSE])
     if seen[GLOSSY].digest != seen[DIFFUSE].digest:
         world = replace(world, image=_picture(world), mirrored=_picture(_world_of(seen[GLOSSY])))
     if seen[CAMERA].digest != seen[DIFFUSE].digest or world.mirrored is not None:
         world = replace(world, seen=_world_of(seen[CAMERA]))
-    return world, [], list(dict.fromkeys(warnings))
+    return world, [sun for sun in suns if np.any(sun.color > 0)], list(dict.fromkeys(warnings))
+
+
+def _sun(disc: Disc, sky: Expression, shining: Expression) -> Light:
+    """The sun's disc as a light: what it adds to a world, `sky`, that is `shining` with it."""
+    directions, solid_angle = disc.directions()
+    added = radiance_at(shining, directions).astype(float) - radiance_at(sky, directions)
+    slope = directions @ disc.sky.sun
+    color = np.maximum((added * slope[:, None]).sum(axis=0) * solid_angle, 0)
+    return Light("SUN", color, np.zeros(3), -np.array(disc.sky.sun), min(disc.angle, np.pi / 2), name="Sky")
 
 
 def _picture(world: World) -> np.ndarray:
