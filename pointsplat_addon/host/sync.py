@@ -14,11 +14,11 @@ from ..core.scene import scene
 from ..core.scene.materials import MaterialTable
 from ..core.scene.world import Mist
 from .convert.light.lights import convert_lights
+from .convert.light.world import convert_world
 from .convert.material.materials import convert_materials
 from .convert.material.nodes.tree import Placement
 from .convert.material.object_values import give_to_sources, on_objects, shown_alike, values_of_instances
 from .convert.objects import Collected, Source, collect
-from .convert.light.world import convert_world
 from .geometries import Geometries
 from .geometry_cache import CACHE, GeometryCache
 

@@ -30,7 +30,7 @@ class WorldReader(TreeReader):
     kind = "World"
 
     def __init__(self, name: str, ray: str, suns: bool) -> None:
-        super().__init__(name, NODES | WORLD_NODES | {"ShaderNodeLightPath": _light_path(ray)})
+        super().__init__(name, NODES | WORLD_NODES | {"ShaderNodeLightPath": light_path(ray)})
         self.suns = suns
         self.discs: list[Disc] = []  # that skies have, whether or not they show them
 
@@ -56,7 +56,9 @@ def _geometry(node: NodeReader) -> Outputs:
     }
 
 
-def _light_path(ray: str) -> NodeConverter:
+def light_path(ray: str) -> NodeConverter:
+    """A converter of Light Path as rays of one kind, CAMERA, DIFFUSE or GLOSSY, see it."""
+
     def convert(node: NodeReader) -> Outputs:
         """Values of rays from the camera, or that one surface has reflected."""
         found = dict.fromkeys((s.identifier for s in node.node.outputs if s.identifier != "Ray Length"), ZERO)

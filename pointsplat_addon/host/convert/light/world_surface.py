@@ -1,4 +1,4 @@
-"""The shaders of a world's surface as the radiance that they send."""
+"""The shaders of a world, and of lights, as the radiance that they send."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def radiance(tree: TreeReader, socket: bpy.types.NodeSocket, path: Path = ()) ->
                 return radiance(tree, node.inputs[other], path)
         first, second = (radiance(tree, s, path) for s in node.inputs[1:3])
         return color_nodes.Mix(factor, first, second)
-    tree.warn(node, "emits nothing in a world")
+    tree.warn(node, "emits nothing here")
     return BLACK
 
 

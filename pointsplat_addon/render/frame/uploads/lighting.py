@@ -114,7 +114,9 @@ class LightingUploads:
         world = self._scene.world
         if self._environment is None or world.image is None:
             return {}
-        return {"ps_environment": self._environment if world.mirrored is None else self._upload_environment(world.image)}
+        return {
+            "ps_environment": self._environment if world.mirrored is None else self._upload_environment(world.image)
+        }
 
     @property
     def lacks_maps(self) -> bool:
