@@ -7,10 +7,10 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from ..numeric.record import value_record
+from .medium import Atmosphere, Medium, scattering_often, scattering_once
 from .often import OftenScattered
 from .preetham import preetham
-from .scattering import Atmosphere, scattered, transmittance
-from .spectrum import rgb_of, sun_irradiance
+from .scattering import scattered, sun_through
 
 ROWS, COLUMNS = 128, 64  # of a table: elevations of one sign, and angles to the sun's azimuth from 0 to pi
 FADE = 0.4  # sine of the angle below the horizon at which a sky that is scattered once ends
@@ -30,6 +30,12 @@ class Sky:
     sun: tuple[float, float, float]  # unit, towards it
     turbidity: float = 2.2
     atmosphere: Atmosphere = Atmosphere()
+
+    @cached_property
+    def medium(self) -> Medium:
+        """What scatters, of a sky that scatters."""
+        make = scattering_often if self.model == "MULTIPLE_SCATTERING" else scattering_once
+        return make(self.atmosphere)
 
     def radiance(self, direction: np.ndarray) -> np.ndarray:
         """Colours (N, 3) of the sky, without the sun, in unit directions (N, 3)."""
@@ -68,8 +74,8 @@ class Disc:
         heights = np.linspace(max(middle - self.angle, 0.0), min(max(middle + self.angle, 1e-6), np.pi / 2), 17)
         direction = np.stack([np.cos(heights), 0 * heights, np.sin(heights)], axis=1)
         solid_angle = 2 * np.pi * (1 - np.cos(self.angle))
-        spectrum = transmittance(direction, self.sky.atmosphere) * sun_irradiance() / solid_angle
-        return heights, rgb_of(spectrum) * self.intensity
+        medium = self.sky.medium
+        return heights, sun_through(direction, medium) @ medium.rgb / solid_angle * self.intensity
 
     def directions(self, count: int = 1024) -> tuple[np.ndarray, float]:
         """Unit directions (count, 3) evenly over the disc, and the solid angle in steradian that each stands for."""
@@ -90,12 +96,13 @@ class Tables:
         self._sun = np.array(sky.sun)
         elevation = np.linspace(0, 1, ROWS) ** 2 * (np.pi / 2)  # closer near the horizon, and
         azimuth = np.arctan2(self._sun[1], self._sun[0]) + np.linspace(0, 1, COLUMNS) ** 2 * np.pi  # near the sun
-        often = OftenScattered(sky.atmosphere) if sky.model == "MULTIPLE_SCATTERING" else None
+        medium = sky.medium
+        often = OftenScattered(medium) if sky.model == "MULTIPLE_SCATTERING" else None
         self._tables = []  # of the sky above the horizon and, where it does not just fade, below it
         for sign in (1, -1) if often is not None else (1,):
             v, u = (grid.ravel() for grid in np.meshgrid(sign * elevation, azimuth, indexing="ij"))
             direction = np.stack([np.cos(v) * np.cos(u), np.cos(v) * np.sin(u), np.sin(v)], axis=1)
-            color = rgb_of(scattered(direction, self._sun, sky.atmosphere, often))
+            color = scattered(direction, self._sun, medium, often) @ medium.rgb
             self._tables.append(color.reshape(ROWS, COLUMNS, 3))
 
     def look_up(self, direction: np.ndarray) -> np.ndarray:

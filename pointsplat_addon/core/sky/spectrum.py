@@ -28,12 +28,6 @@ SUN_SOLID_ANGLE = 6.807e-5  # steradian, mean over the year
 PLANCK = 1.191042972e20, 1.438776877e7  # 2 h c^2 in W nm^4 / m^2 per nm and sr; h c / k in nm K
 
 
-def rgb_of(spectrum: np.ndarray) -> np.ndarray:
-    """Linear Rec. 709 colours (..., 3) of spectra (..., 21) per nanometre, whose luminance is in units of the spectrum
-    (683 lm/W are left out)."""
-    return spectrum @ (OBSERVER * STEP) @ RGB_FROM_XYZ.T
-
-
 def sun_irradiance() -> np.ndarray:
     """The sun's irradiance outside the atmosphere, (21,) W/m2 per nanometre: a black body's."""
     first, second = PLANCK

@@ -8,7 +8,7 @@ import numpy as np
 
 from ....core.material.expression import Expression
 from ....core.material.nodes import color_nodes, direction_nodes, input_nodes, texture_nodes, world_nodes
-from ....core.sky.scattering import Atmosphere
+from ....core.sky.medium import Atmosphere
 from ....core.sky.sky import Disc, Sky
 from ..material.images import convert_image
 from ..material.nodes.table import NODES
