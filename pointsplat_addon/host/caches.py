@@ -6,6 +6,7 @@ import bpy
 
 from ..stream.pool import POOL
 from . import engine, page_arrivals
+from .convert.light import world_surface
 from .convert.material import images
 from .device import gl_thread
 from .device.main_gpu import MAIN_GPU
@@ -28,6 +29,7 @@ def release() -> None:
     STORE.clear()
     CACHE.clear()
     images.clear()
+    world_surface.clear()
 
 
 @bpy.app.handlers.persistent

@@ -13,12 +13,12 @@ from ..core.numeric.cryptomatte import cryptomatte_hash
 from ..core.scene import scene
 from ..core.scene.materials import MaterialTable
 from ..core.scene.world import Mist
-from .convert.lights import convert_lights
+from .convert.light.lights import convert_lights
+from .convert.light.world import convert_world
 from .convert.material.materials import convert_materials
 from .convert.material.nodes.tree import Placement
 from .convert.material.object_values import give_to_sources, on_objects, shown_alike, values_of_instances
 from .convert.objects import Collected, Source, collect
-from .convert.world import convert_world
 from .geometries import Geometries
 from .geometry_cache import CACHE, GeometryCache
 
@@ -58,7 +58,7 @@ class Synchronizer:
         give_to_sources(collected, values)
         geometries, instances = self._instances(collected, table, previous, values)
         lights, light_warnings = convert_lights(depsgraph)
-        world, world_warnings = convert_world(depsgraph)
+        world, suns, world_warnings = convert_world(depsgraph)
         evaluated = depsgraph.scene_eval
         mist_world = getattr(depsgraph.view_layer_eval, "world_override", None) or evaluated.world
         mist = mist_world.mist_settings if mist_world else None
@@ -67,7 +67,7 @@ class Synchronizer:
                 geometries=geometries,
                 instances=instances,
                 materials=table,
-                lights=tuple(lights),
+                lights=(*lights, *suns),
                 world=world,
                 transparent=evaluated.render.film_transparent,
                 mist=Mist(mist.start, mist.depth, mist.falloff) if mist else Mist(),

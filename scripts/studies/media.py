@@ -206,7 +206,7 @@ def rays(scene: bpy.types.Scene, samples: int) -> tuple[np.ndarray, np.ndarray]:
 
 def sphere_truth(scene: bpy.types.Scene, smoke: str, samples: int = 3) -> np.ndarray:
     """What `sphere_scene` looks like, (H, W, 4), marched."""
-    from pointsplat_addon.host.convert.lights import convert_lights
+    from pointsplat_addon.host.convert.light.lights import convert_lights
 
     density, color, absorption, anisotropy, floor = SMOKES[smoke]
     scattering = density * np.array(color)

@@ -43,7 +43,7 @@ def studio() -> bpy.types.Scene:
 
 
 def world_of(scene: bpy.types.Scene):
-    from pointsplat_addon.host.convert.world import from_world
+    from pointsplat_addon.host.convert.light.world import from_world
 
     return from_world(scene.world)
 

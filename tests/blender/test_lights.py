@@ -11,7 +11,7 @@ bpy = pytest.importorskip("bpy")
 
 from mathutils import Euler, Matrix
 
-from pointsplat_addon.host.convert import lights, world
+from pointsplat_addon.host.convert.light import lights, world
 from pointsplat_addon.host.convert.material.materials import convert_materials
 
 SIZE = 20

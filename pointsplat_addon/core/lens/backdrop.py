@@ -45,7 +45,7 @@ def why_not_blurred(scene: Scene, camera: Camera) -> str:
         return "the camera has no depth of field"
     if scene.transparent:
         return "the film is transparent"
-    if scene.world.image is None:
+    if scene.world.behind.image is None:
         return "the world is of one colour"
     if not blur.perspective:
         return "parallel rays see one direction of the world"

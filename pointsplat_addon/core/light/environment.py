@@ -39,8 +39,13 @@ def direction_from_uv(uv: np.ndarray) -> np.ndarray:
 
 def texel_directions(width: int, height: int) -> np.ndarray:
     """(height, width, 3) unit vectors through the texel centres, row 0 at the bottom."""
+    return direction_from_uv(texel_uv(width, height))
+
+
+def texel_uv(width: int, height: int) -> np.ndarray:
+    """(height, width, 2) UVs of the texel centres, row 0 at the bottom."""
     u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
-    return direction_from_uv(np.stack([u, v], -1))
+    return np.stack([u, v], -1)
 
 
 def bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
@@ -55,20 +60,19 @@ def bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
     return low * (1 - fy) + high * fy
 
 
-def build_atlas(image: np.ndarray) -> np.ndarray:
+def build_atlas(image: np.ndarray, mirrored: np.ndarray | None = None) -> np.ndarray:
     """Builds the atlas of an equirectangular radiance image (H, W, 3 or more).
+
+    mirrored: another one, of which all is but the irradiance.
 
     NaN and negative infinity count as 0; other values are clamped to +-1e18, about the root of float32's limit, so that
     sums stay finite.
     """
-    image = np.nan_to_num(np.asarray(image[..., :3], np.float32), nan=0.0, posinf=1e18, neginf=0.0)
-    image = np.clip(image, -1e18, 1e18, out=image)
-    width = next((w for w in WIDTHS if w >= image.shape[1]), WIDTHS[-1])
-    mips = _mips(_resample(image, width, width // 2))
-    sharp = mips[0]
+    mips = _levels_of(image if mirrored is None else mirrored)
+    sharp, width = mips[0], mips[0].shape[1]
 
     tiles = [_resample(_prefilter(mips, roughness), *TILE) for roughness in ROUGHNESS]
-    tiles.append(_resample(_irradiance(mips), *TILE))
+    tiles.append(_resample(_irradiance(mips if mirrored is None else _levels_of(image)), *TILE))
 
     atlas = np.ones((width // 2 + 2 * TILE[1], width, 4), np.float32)
     atlas[: width // 2, :, :3] = sharp
@@ -76,6 +80,14 @@ def build_atlas(image: np.ndarray) -> np.ndarray:
         x, y = i % 4 * TILE[0], width // 2 + i // 4 * TILE[1]
         atlas[y : y + TILE[1], x : x + TILE[0], :3] = tile
     return atlas
+
+
+def _levels_of(image: np.ndarray) -> list[np.ndarray]:
+    """The mip levels of an image (H, W, 3 or more) as wide as an atlas' image, finite."""
+    image = np.nan_to_num(np.asarray(image[..., :3], np.float32), nan=0.0, posinf=1e18, neginf=0.0)
+    image = np.clip(image, -1e18, 1e18, out=image)
+    width = next((w for w in WIDTHS if w >= image.shape[1]), WIDTHS[-1])
+    return _mips(_resample(image, width, width // 2))
 
 
 def atlas_level(atlas: np.ndarray, index: int) -> np.ndarray:
@@ -104,8 +116,7 @@ def _resample(image: np.ndarray, width: int, height: int) -> np.ndarray:
     if width >= w and height >= h:
         if (width, height) == (w, h):
             return image
-        u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
-        return bilinear(image, np.stack([u, v], -1))
+        return bilinear(image, texel_uv(width, height))
     return _box(_box(image, height).swapaxes(0, 1), width).swapaxes(0, 1)
 
 

@@ -19,17 +19,22 @@ TEXELS = 3
 
 def without_far_light(scene: Scene) -> Scene:
     """Returns a scene whose suns and world have what the fog of its world leaves of them, which is no light in
-    channels that it absorbs or scatters."""
+    channels that it absorbs or scatters. In the others cameras see the world that lights."""
     fog = scene.world.fog
     if fog is None:
         return scene
     clear = np.asarray(fog.extinction) <= 0
     lights = [replace(x, color=x.color * clear) if x.kind == "SUN" else x for x in scene.lights]
-    image = scene.world.image
+    image, mirrored = (
+        None if picture is None or not clear.any() else picture * clear.astype(np.float32)
+        for picture in (scene.world.image, scene.world.mirrored)
+    )
     world = replace(
         scene.world,
         color=scene.world.color * clear,
-        image=None if image is None or not clear.any() else image * clear.astype(np.float32),
+        image=image,
+        mirrored=mirrored,
+        seen=None,
     )
     return replace(
         scene,

@@ -303,6 +303,8 @@ def _clamped(owner: Any, default: Any) -> dict[str, Any]:
 
 
 def _valid_world(world: World) -> World:
+    if world.seen is not None:
+        world = replace(world, seen=_valid_world(world.seen))
     if _wrong(world, CLAMP):
         color = np.nan_to_num(world.color, nan=0.0, posinf=FARTHEST, neginf=0.0)
         world = replace(world, color=np.clip(color, -FARTHEST, FARTHEST))

@@ -105,6 +105,7 @@ class Kind(Enum):
     IMAGE_DIGEST = auto()
     # Of the host
     IMAGE = auto()
+    WORLD = auto()  # the picture of a graph of nodes
 
     # Members are singletons; Enum's own hash runs in Python.
     __hash__ = object.__hash__

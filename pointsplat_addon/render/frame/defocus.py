@@ -94,7 +94,7 @@ class OutOfFocus:
             adaptive is not None, tiles.tile, self.plan.term,
         )  # fmt: skip
         sharp = {"ps_focused": self.targets.sums[0], "ps_focus": self.targets.focus}
-        textures = {**self.uploads.shading, **behind, **sharp}
+        textures = {**self.uploads.behind, **behind, **sharp}
         if adaptive is not None:
             textures["ps_counts"] = adaptive.known
         record = view.record_of(

@@ -92,7 +92,7 @@ class Shading:
         levels = self._uploads.lighting.levels
         assert self._backdrop is not None
         assert levels is not None
-        self._backdrop.draw(view, {**self._uploads.shading, "ps_levels": levels})
+        self._backdrop.draw(view, {**self._uploads.behind, "ps_levels": levels})
 
     def shade(self, view: SampleView, region: Region) -> None:
         """Adds the shaded G-buffer to the sums."""
@@ -101,7 +101,7 @@ class Shading:
 
     def draw_background(self, view: SampleView, region: Region) -> None:
         """Adds the world to the sums, where nothing is in front of it."""
-        textures = gbuffer_textures(self._targets.surfels) | self._uploads.shading | self.backdrop_textures
+        textures = gbuffer_textures(self._targets.surfels) | self._uploads.behind | self.backdrop_textures
         self._add(self._background, view, region, textures)
 
     def shade_groups(
@@ -138,7 +138,7 @@ class Shading:
 
     def draw_open(self, view: SampleView, codes: dict[str, Texture], target: Target) -> None:
         """Draws the world where sub-samples are open; `codes`: the groups of sub-samples, by sampler name."""
-        textures = codes | self._uploads.shading | self.backdrop_textures
+        textures = codes | self._uploads.behind | self.backdrop_textures
         record = self._record(self._background, view)
         self._device.draw(self._background, target, uniforms=record, textures=textures)
 

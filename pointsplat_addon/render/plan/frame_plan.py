@@ -79,7 +79,12 @@ class FramePlan:
     def trivial(self) -> bool:
         """Whether one colour fills the picture."""
         drawn = self.plan.solid or self.plan.translucent is not None
-        return not drawn and self.scene.world.fog is None and (self.scene.world.image is None or self.scene.transparent)
+        return not drawn and self.scene.world.fog is None and self._one_color
+
+    @property
+    def _one_color(self) -> bool:
+        """Whether one colour is behind everything."""
+        return self.scene.world.behind.image is None or self.scene.transparent
 
     @property
     def size(self) -> tuple[int, int]:
@@ -92,7 +97,7 @@ class FramePlan:
         if self.scene.transparent:
             return np.zeros(4)
         shown = self.plan.term is None or self.plan.term.light == ENVIRONMENT
-        return np.append(np.asarray(self.scene.world.color) * shown, 1.0)
+        return np.append(np.asarray(self.scene.world.behind.color) * shown, 1.0)
 
     @property
     def splats(self) -> int:

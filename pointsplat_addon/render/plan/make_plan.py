@@ -13,6 +13,7 @@ from ...core.numeric.record import record, value_record
 from ...core.scene.cloud import PointCloud
 from ...core.scene.scene import Scene
 from ...core.scene.strands import Strands
+from ...core.scene.world import World
 from ...core.surface.appearance import graphs_of
 from ..passes.captured.project import UNLIT, CapturedLighting
 from ..passes.ewa.options import EwaOptions
@@ -256,7 +257,7 @@ def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
         table = scene.materials
         coats = () if table.coat is None else table.coat.roughness
         smoothest = 0.0 if varies else float(np.min([table.roughness.min(), *coats]))
-        found = (*_world(scene), *light_names(scene.lights, smoothest))
+        found = (*_world(scene.world), *light_names(scene.lights, smoothest))
         if not found and table.coat is not None and (table.emission > 0).any():
             found = ("PS_HAS_WORLD",)  # a black one: coats dim what shines below them
     return found + (() if view.shadows is None else _shadows(view.shadows))
@@ -377,7 +378,7 @@ def _matte_light(view: ViewToPlan) -> CapturedLighting:
 def _lights_and_shadows(view: ViewToPlan, shadows: Shadows | None) -> tuple[str, ...]:
     """Names of the defines of lights, the world, and some shadows."""
     scene = view.scene
-    return *_world(scene), *light_names(scene.lights, 1.0), *(() if shadows is None else _shadows(shadows))
+    return *_world(scene.world), *light_names(scene.lights, 1.0), *(() if shadows is None else _shadows(shadows))
 
 
 def _coarse_translucent(view: ViewToPlan, translucent: TranslucentOptions | None) -> bool:
@@ -390,12 +391,12 @@ def _coarse_translucent(view: ViewToPlan, translucent: TranslucentOptions | None
 # World and background
 
 
-def _world(scene: Scene) -> tuple[str, ...]:
-    """Names of the defines of the world's light."""
-    fog = () if scene.world.fog is None else ("PS_FOG",)
-    if scene.world.image is not None:
+def _world(world: World) -> tuple[str, ...]:
+    """Names of the defines of a world's light."""
+    fog = () if world.fog is None else ("PS_FOG",)
+    if world.image is not None:
         return (*fog, "PS_HAS_ENVIRONMENT")
-    return (*fog, "PS_HAS_WORLD") if np.any(scene.world.color > 0) else fog
+    return (*fog, "PS_HAS_WORLD") if np.any(world.color > 0) else fog
 
 
 def _behind(view: ViewToPlan) -> tuple[str, ...]:
@@ -404,7 +405,7 @@ def _behind(view: ViewToPlan) -> tuple[str, ...]:
     term = view.request.term
     if scene.world.fog is not None and view.picture:
         return _of_term(_lights_and_shadows(view, view.shadows), term, scene)
-    return () if scene.transparent or not _shows_world(term) else _world(scene)
+    return () if scene.transparent or not _shows_world(term) else _world(scene.world.behind)
 
 
 def _background(view: ViewToPlan) -> bool:

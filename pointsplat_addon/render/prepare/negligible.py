@@ -178,16 +178,19 @@ def _irradiance_bound_in_ball(light: Light, ball: tuple[np.ndarray, float], view
 def _world_or_black(scene: Scene, bounds: Reflection) -> World:
     """Returns the world, or a black one if they cannot be told apart."""
     world = scene.world
-    each = max(bounds.world, 0.0 if scene.transparent else 1.0)
+    seen = None if scene.transparent else world.seen
+    each = max(bounds.world, 0.0 if scene.transparent or seen is not None else 1.0)
+    if world.mirrored is not None and bounds.world > 0.0:
+        return world
     values = np.asarray(world.color if world.image is None else world.image).reshape(-1)
     if world.image is None and not (values > 0).any():
         return world
     if each == 0.0:
-        return World()
+        return World(seen=seen)
     least = WORLD / each
     few = values[:: max(len(values) // FIRST_TEXELS, 1)]
     bright = not (np.abs(few) <= least).all() or not (np.abs(values) <= least).all()
-    return world if bright else World()
+    return world if bright else World(seen=seen)
 
 
 def _emission_varies(scene: Scene, prepared: Prepared) -> bool:

@@ -32,7 +32,7 @@ class GroupsInIndirectLight:
         """`variant`: of the G-buffer of groups."""
         self._device, self._light, self._variant = device, light, variant
         self._materials = uploads.lighting.materials["ps_materials"]
-        self._sky = {name: one for name, one in uploads.shading.items() if name == "ps_environment"}
+        self._sky = uploads.lighting.sky
         self._lists: _Lists | None = None
 
     def gather(self, view: SampleView, surfaces: GBuffer, listed: Texture, entries: np.ndarray) -> dict[str, Texture]:

@@ -72,10 +72,16 @@ class LightingUploads:
         self._lights: Texture | None = None
         self._environment: Texture | None = None
         self.levels: Texture | None = None  # of the environment, each half as wide: passes/shading/backdrop.py
-        if "PS_HAS_ENVIRONMENT" in (*plan.lighting, *plan.world) and scene.world.image is not None:
-            self._environment = self._upload_environment(scene.world.image)
-            if plan.backdrop:
-                self.levels = self._upload_levels(scene.world.image)
+        world = scene.world
+        reading = (*plan.lighting, *(plan.world if world.seen is None else ()))
+        if "PS_HAS_ENVIRONMENT" in reading and world.image is not None:
+            self._environment = self._upload_environment(world.image, world.mirrored)
+        self._seen: Texture | None = None  # the environment and the lights' table of the world that cameras see,
+        self._seen_lights: Texture | None = None  # if it is another one
+        if world.seen is not None and "PS_HAS_ENVIRONMENT" in plan.world and world.seen.image is not None:
+            self._seen = self._upload_environment(world.seen.image)
+        if plan.backdrop and world.behind.image is not None:
+            self.levels = self._upload_levels(world.behind.image)
         self._shadow_tables = None if self._tables is None else self._upload_tables(self._tables)
         self._shadow_maps: Texture | None = None
         self._shadow_panes: Texture | None = None
@@ -96,6 +102,21 @@ class LightingUploads:
             shadow_panes=self._shadow_panes, pane_lights=self._pane_records,
             pane_faces=self._face_records,
         )  # fmt: skip
+
+    @property
+    def behind(self) -> dict[str, Texture]:
+        """What passes read that draw the world behind everything, by sampler name."""
+        return self.textures | bound_textures(lights=self._seen_lights, environment=self._seen)
+
+    @property
+    def sky(self) -> dict[str, Texture]:
+        """The picture of the world that surfaces gather, by sampler name; empty if the world is none."""
+        world = self._scene.world
+        if self._environment is None or world.image is None:
+            return {}
+        return {
+            "ps_environment": self._environment if world.mirrored is None else self._upload_environment(world.image)
+        }
 
     @property
     def lacks_maps(self) -> bool:
@@ -151,6 +172,10 @@ class LightingUploads:
         if self._plan.lighting or self._plan.world:
             rows = light_texture(scene.lights, scene.world, camera.view_from_world, *self._surface, near=camera.near)
             self._lights = self._scope.view_texture(rows)
+            self._seen_lights = None
+            if scene.world.seen is not None and self._plan.world:
+                rows = light_texture((), scene.world.seen, camera.view_from_world)
+                self._seen_lights = self._scope.view_texture(rows)
         records = self._records(camera.view_from_world)
         self._table_records = records["shadow_lights"]
         self._map_records = records["map_lights"]
@@ -172,6 +197,7 @@ class LightingUploads:
         """Returns what shading reads, by sampler name, in a space, (4, 4), that is no camera's, without shadow maps
         that are nested in others for one."""
         scene, textures = self._scene, self.textures_in(view_from_world)
+        textures |= self.sky
         rows = light_texture(scene.lights, scene.world, view_from_world, *self._surface)
         textures["ps_lights"] = self._scope.view_texture(rows)
         if self._maps is not None and self._maps.of_scene is not None:
@@ -200,13 +226,14 @@ class LightingUploads:
 
         return self._scope.lookup(Key(Kind.SHADOW_TEXTURE, tables.key), make)
 
-    def _upload_environment(self, image: np.ndarray) -> Texture:
+    def _upload_environment(self, image: np.ndarray, mirrored: np.ndarray | None = None) -> Texture:
         def make() -> Texture:
-            atlas = build_atlas(image)
+            atlas = build_atlas(image, mirrored)
             rgba = np.concatenate([atlas[..., :3], np.ones((*atlas.shape[:2], 1), np.float32)], axis=2)
             return self._scope.device.texture((atlas.shape[1], atlas.shape[0]), "RGBA32F", rgba.reshape(-1))
 
-        return self._scope.lookup(Key(Kind.ENVIRONMENT, ArrayIdentity(image)), make)
+        of = (image,) if mirrored is None else (image, mirrored)
+        return self._scope.lookup(Key(Kind.ENVIRONMENT, tuple(map(ArrayIdentity, of))), make)
 
     def _upload_levels(self, image: np.ndarray) -> Texture:
         def make() -> Texture:

@@ -110,6 +110,11 @@ class Uploads:
         return self.lighting.textures
 
     @property
+    def behind(self) -> dict[str, Texture]:
+        """What passes read that draw the world behind everything, by sampler name."""
+        return self.lighting.behind
+
+    @property
     def spent(self) -> dict[str, float]:
         """Milliseconds of the passes that the processor does, by name."""
         sorts = [uploads.sort_ms for uploads in (self.translucent, self.captured) if uploads is not None]

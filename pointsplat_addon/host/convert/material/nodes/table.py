@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from .....core.material.nodes import input_nodes
+from .....core.material.expression import constant
 from .colors import COLORS
 from .inputs import INPUTS
 from .mathematics import MATHEMATICS
@@ -24,5 +24,5 @@ def tree_reader(material_name: str, placement: FindPlacement = nowhere, pass_ind
 def constant_value(socket: bpy.types.NodeSocket, path: Path) -> tuple[float, ...] | None:
     """The value of an input; None if it varies or cannot be evaluated. path: the groups that lead to its tree."""
     tree = tree_reader("")
-    value = tree.read(socket, path)
-    return tuple(value.value) if isinstance(value, input_nodes.Constant) and not tree.warnings else None
+    value = constant(tree.read(socket, path))
+    return None if value is None or tree.warnings else tuple(value.tolist())

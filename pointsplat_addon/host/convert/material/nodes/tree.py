@@ -56,6 +56,8 @@ class TreeReader:
     pass_index: the material's.
     """
 
+    kind = "Material"  # of what has the tree, in warnings
+
     def __init__(
         self,
         material_name: str,
@@ -78,7 +80,7 @@ class TreeReader:
         pointer = node.as_pointer()
         if pointer not in self._warned:
             self._warned.add(pointer)
-            self.warnings.append(f'Material "{self.material_name}": node "{node.label or node.name}" {text}')
+            self.warnings.append(f'{self.kind} "{self.material_name}": node "{node.label or node.name}" {text}')
 
     def read(self, socket: bpy.types.NodeSocket, path: Path) -> Expression:
         """The value of an input: that of the linked output, converted to the input's type, else its own value."""

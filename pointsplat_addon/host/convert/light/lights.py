@@ -5,9 +5,12 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ...core.scene.lights import Light
-from .material.nodes.table import constant_value
-from .material.nodes.tree import resolve
+from ....core.material.expression import constant
+from ....core.scene.lights import Light
+from ..material.nodes.table import NODES
+from ..material.nodes.tree import NodeReader, Outputs, TreeReader, resolve
+from .world_nodes import DIFFUSE, light_path
+from .world_surface import radiance
 
 
 def convert_lights(depsgraph: bpy.types.Depsgraph) -> tuple[list[Light], list[str]]:
@@ -109,20 +112,30 @@ def _radiometric_factor(data: bpy.types.Light, shape: dict) -> float:
 
 
 def _emission(data: bpy.types.Light, name: str) -> tuple[np.ndarray, list[str]]:
-    """Colour times strength (3,) of the light's Emission node, and warnings; ones without nodes or if they vary."""
-    one = np.ones(3)
+    """Colour times strength (3,) that the light's nodes emit, and warnings; ones without nodes or if they vary."""
     if data.node_tree is None or (bpy.app.version < (5, 0) and not data.use_nodes):
-        return one, []
+        return np.ones(3), []
     output = data.node_tree.get_output_node("ALL")
     if output is None:
         return np.zeros(3), []
-    found = resolve(output.inputs["Surface"], ())
+    tree = _LightReader(name, NODES | {"ShaderNodeLightFalloff": _falloff, "ShaderNodeLightPath": light_path(DIFFUSE)})
+    found = constant(radiance(tree, output.inputs["Surface"]))
     if found is None:
-        return np.zeros(3), []
-    node, path = found[0].node, found[1]
-    if node.bl_idname != "ShaderNodeEmission":
-        return one, [f'Light "{name}": node "{node.label or node.name}" is not supported and is taken as white']
-    color, strength = (constant_value(node.inputs[key], path) for key in ("Color", "Strength"))
-    if color is None or strength is None:
-        return one, [f'Light "{name}": node "{node.label or node.name}" varies and is taken as white']
-    return np.array(color) * strength[0], []
+        source = resolve(output.inputs["Surface"], ())
+        node = output if source is None else source[0].node
+        return np.ones(3), [f'Light "{name}": node "{node.label or node.name}" varies and is taken as white']
+    return np.broadcast_to(found[:3], (3,)).astype(float), tree.warnings
+
+
+class _LightReader(TreeReader):
+    """A reader whose warnings name a light."""
+
+    kind = "Light"
+
+
+def _falloff(node: NodeReader) -> Outputs:
+    """The strength by the square of the distance, as light falls off by itself; other ways are not there."""
+    smooth = constant(node["Smooth"])
+    if any(node.used(name) for name in ("Linear", "Constant")) or smooth is None or smooth[0] > 0:
+        node.warn("makes light fall off otherwise than by the square of the distance, which is how it is drawn")
+    return dict.fromkeys(("Quadratic", "Linear", "Constant"), node["Strength"])

@@ -1,4 +1,4 @@
-"""Blender's world as core's: one colour, or an environment texture."""
+"""Blender's world as core's: one colour, an environment texture, or the picture of a graph of nodes."""
 
 from __future__ import annotations
 
@@ -8,35 +8,34 @@ import bpy
 import numpy as np
 from mathutils import Euler
 
-from ...core.material.color_models import linear_from_srgb
-from ...core.material.image import Image
-from ...core.scene.volume import Volume
-from ...core.scene.world import Fog, World
-from ...core.volume.optics import voxel_optics
-from .material.images import convert_image
-from .material.media import read_medium
-from .material.nodes.table import constant_value, tree_reader
-from .material.nodes.tree import Path, resolve
+from ....core.material.color_models import linear_from_srgb
+from ....core.material.image import Image
+from ....core.scene.lights import Light
+from ....core.scene.volume import Volume
+from ....core.scene.world import Fog, World
+from ....core.volume.optics import voxel_optics
+from ..material.images import convert_image
+from ..material.media import read_medium
+from ..material.nodes.table import constant_value, tree_reader
+from ..material.nodes.tree import Path, resolve
+from .world_surface import EMITTERS, graph_world
 
 DIRECTIONS = {("ShaderNodeTexCoord", "Generated"), ("ShaderNodeNewGeometry", "Position")}
 
 
-def convert_world(depsgraph: bpy.types.Depsgraph) -> tuple[World, list[str]]:
-    """The world of an evaluated scene, a view layer's override included, and warnings."""
+def convert_world(depsgraph: bpy.types.Depsgraph) -> tuple[World, list[Light], list[str]]:
+    """The world of an evaluated scene, a view layer's override included, the suns of its skies, and warnings."""
     override = getattr(depsgraph.view_layer_eval, "world_override", None)
     return from_world(override or depsgraph.scene_eval.world)
 
 
-def from_world(world: bpy.types.World | None) -> tuple[World, list[str]]:
-    """An evaluated world as a World, and warnings. A world that cannot be converted gets its viewport colour.
-
-    None is a black world.
-    """
-    found, warnings = _surface(world)
+def from_world(world: bpy.types.World | None) -> tuple[World, list[Light], list[str]]:
+    """An evaluated world as a World, the suns of its skies, and warnings; None is a black world."""
+    found, suns, warnings = _surface(world)
     if world is None or (output := _output(world)) is None or not output.inputs["Volume"].is_linked:
-        return found, warnings
+        return found, suns, warnings
     fog, messages = _fog(world.name, output.inputs["Volume"])
-    return replace(found, fog=fog), [*warnings, *messages]
+    return replace(found, fog=fog), suns, [*warnings, *messages]
 
 
 def _output(world: bpy.types.World) -> bpy.types.Node | None:
@@ -63,34 +62,40 @@ def _fog(name: str, socket: bpy.types.NodeSocket) -> tuple[Fog | None, list[str]
     return Fog(extinction, extinction * optics.albedo[0], emission, medium.anisotropy), [*warnings, *more]
 
 
-def _surface(world: bpy.types.World | None) -> tuple[World, list[str]]:
-    """The world without its volume, and warnings."""
+def _surface(world: bpy.types.World | None) -> tuple[World, list[Light], list[str]]:
+    """The world without its volume, the suns of its skies, and warnings."""
     if world is None:
-        return World(), []
-    plain = World(color=np.array(world.color, float))
+        return World(), [], []
     if world.node_tree is None or (bpy.app.version < (5, 0) and not world.use_nodes):
-        return plain, []
+        return World(color=np.array(world.color, float)), [], []
     output = _output(world)
-    found = resolve(output.inputs["Surface"], ()) if output else None
-    if found is None:
-        return World(), []
-    node, path = found[0].node, found[1]
-    if node.bl_idname not in {"ShaderNodeBackground", "ShaderNodeEmission"}:
-        return plain, [_fallback(world, node)]
-    strength, color = (constant_value(node.inputs[key], path) for key in ("Strength", "Color"))
-    if strength is None:
-        return plain, [_fallback(world, _feeding_node(node.inputs["Strength"], path)[0])]
-    if color is not None:
-        return World(color=np.array(color) * strength[0]), []
+    if output is None:
+        return World(), [], []
+    turned = _turned_picture(world.name, output.inputs["Surface"])
+    if turned is not None:
+        return turned[0], [], turned[1]
+    return graph_world(world.name, output.inputs["Surface"])
 
-    texture, path = _feeding_node(node.inputs["Color"], path)
+
+def _turned_picture(name: str, socket: bpy.types.NodeSocket) -> tuple[World, list[str]] | None:
+    """The world, and warnings, if it is one environment texture that is turned, whose texels are then its own; else
+    None."""
+    found = resolve(socket, ())
+    if found is None or found[0].node.bl_idname not in EMITTERS:
+        return None
+    node, path = found[0].node, found[1]
+    strength = constant_value(node.inputs["Strength"], path)
+    found = resolve(node.inputs["Color"], path)
+    if strength is None or found is None:
+        return None
+    texture, path = found[0].node, found[1]
     if texture.bl_idname != "ShaderNodeTexEnvironment" or texture.projection != "EQUIRECTANGULAR":
-        return plain, [_fallback(world, texture)]
-    rotation, blocker = _rotation(texture, path)
+        return None
+    rotation = _rotation(texture, path)
     if rotation is None:
-        return plain, [_fallback(world, blocker)]
+        return None
     image, problem = convert_image(texture.image)
-    warnings = [f'World "{world.name}": node "{texture.label or texture.name}" {problem}'] if problem else []
+    warnings = [f'World "{name}": node "{texture.label or texture.name}" {problem}'] if problem else []
     return World(image=_linear(image) * np.float32(strength[0]), world_rotation=rotation), warnings
 
 
@@ -103,15 +108,8 @@ def _linear(image: Image) -> np.ndarray:
     return linear_from_srgb(texels) if image.srgb else texels
 
 
-def _feeding_node(socket: bpy.types.NodeSocket, path: Path) -> tuple[bpy.types.Node, Path]:
-    """The node that feeds an input, which must be linked, with the path to its tree."""
-    found = resolve(socket, path)
-    assert found is not None
-    return found[0].node, found[1]
-
-
-def _rotation(texture: bpy.types.Node, path: Path) -> tuple[np.ndarray | None, bpy.types.Node]:
-    """Rotation image_from_world (3, 3) of an environment texture; None, and the node at fault, if it is no rotation."""
+def _rotation(texture: bpy.types.Node, path: Path) -> np.ndarray | None:
+    """Rotation image_from_world (3, 3) of an environment texture; None if it is no rotation."""
     found = resolve(texture.inputs["Vector"], path)
     rotation = np.eye(3)
     if found is not None and found[0].node.bl_idname == "ShaderNodeMapping":
@@ -122,19 +120,14 @@ def _rotation(texture: bpy.types.Node, path: Path) -> tuple[np.ndarray | None, b
         # A scale common to all axes does not change a direction.
         rotates_only = angles and scale and location and not any(location) and scale[0] > 0 and np.ptp(scale) < 1e-6
         if not rotates_only:
-            return None, mapping
+            return None
         rotation = np.array(Euler(angles).to_matrix())
         if mapping.vector_type == "TEXTURE":
             rotation = rotation.T
         found = resolve(mapping.inputs["Vector"], path)
         if found is None or not found[0].is_output:
-            return None, mapping
+            return None
     # The texture's own coordinates, those of Texture Coordinate and of Geometry, are the direction.
     if found is None or (found[0].node.bl_idname, found[0].identifier) in DIRECTIONS:
-        return rotation, texture
-    return None, found[0].node
-
-
-def _fallback(world: bpy.types.World, node: bpy.types.Node) -> str:
-    label = node.label or node.name
-    return f'World "{world.name}": node "{label}" is not supported; the world\'s viewport colour is used'
+        return rotation
+    return None

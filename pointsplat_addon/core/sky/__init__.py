@@ -1,0 +1,1 @@
+"""Worlds that vary with the direction: pictures of graphs, and models of the sky."""

@@ -1,0 +1,1 @@
+"""Lights and worlds of Blender."""
