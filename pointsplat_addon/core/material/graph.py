@@ -10,7 +10,7 @@ import numpy as np
 
 from ..numeric.record import record, value_record
 from .expression import Expression, walk
-from .nodes.input_nodes import UV, Attribute, ColorAttribute, Constant, Coordinates, ObjectValue
+from .nodes.input_nodes import UV, Attribute, Backfacing, ColorAttribute, Constant, Coordinates, ObjectValue
 from .nodes.normal_nodes import Bump, NormalMap
 from .nodes.texture_nodes import ImageTexture
 
@@ -53,6 +53,7 @@ class Needs:
     heights: bool = False  # whether it is read how heights change
     images: bool = False  # whether images are mapped by any of these
     objects: frozenset[str] = frozenset()  # values of the object
+    backfacing: bool = False
 
 
 def needs(graph: MaterialGraph) -> Needs:
@@ -72,6 +73,7 @@ def needs(graph: MaterialGraph) -> Needs:
         tangent=frozenset(tangents),
         images=any(isinstance(n, ImageTexture) and n.uv.varies for n in nodes),
         objects=frozenset(n.name for n in nodes if isinstance(n, ObjectValue)),
+        backfacing=any(isinstance(n, Backfacing) for n in nodes),
     )
 
 

@@ -318,9 +318,9 @@ def _evaluate(
 def _subset(samples: Samples, part: Part) -> Samples:
     ellipse = None if samples.ellipse is None else samples.ellipse[part]
     owner = None if samples.object is None else samples.object[part]
-    return replace(
-        samples, triangle=samples.triangle[part], barycentric=samples.barycentric[part], ellipse=ellipse, object=owner
-    )
+    back = None if samples.backfacing is None else samples.backfacing[part]
+    triangle, barycentric = samples.triangle[part], samples.barycentric[part]
+    return Samples(samples.method, triangle, barycentric, ellipse, owner, back)
 
 
 def _inputs(
@@ -351,6 +351,7 @@ def _inputs(
         tangent=tangent,
         bitangent_sign=sign,
         objects={name: _of_objects(mesh, samples, name) for name in wanted.objects & mesh.objects.keys()},
+        backfacing=samples.backfacing if wanted.backfacing else None,
         count=len(samples),
     )
     wide = wide and wanted.images

@@ -11,7 +11,7 @@ from ..material.evaluation import Appearance
 from ..material.expression import walk
 from ..material.graph import MaterialGraph
 from ..material.nodes.color_nodes import Color, Combine, Component, Gray, Mix
-from ..material.nodes.input_nodes import Constant, ObjectValue, Source
+from ..material.nodes.input_nodes import Backfacing, Constant, ObjectValue, Source
 from ..material.nodes.math_nodes import Mapping, Math
 from ..material.nodes.texture_nodes import ImageTexture
 from ..scene.materials import MaterialTable
@@ -100,9 +100,9 @@ def over_footprints(
 
 
 def _varies_within_object(graph: MaterialGraph) -> bool:
-    """Whether anything but values of the object varies it."""
+    """Whether anything but values of the object, and the side of it that is seen, varies it."""
     nodes = walk(*graph.channels.values())
-    return any(isinstance(node, Source) and not isinstance(node, ObjectValue) for node in nodes)
+    return any(isinstance(node, Source) and not isinstance(node, ObjectValue | Backfacing) for node in nodes)
 
 
 def _only_images(graph: MaterialGraph) -> bool:
@@ -156,6 +156,7 @@ def _at(
         (samples.barycentric + moved).reshape(-1, 2).astype(np.float32),
         np.tile(np.float32(share) * samples.ellipse, (len(places), 1, 1)),
         None if samples.object is None else np.tile(samples.object, len(places)),
+        None if samples.backfacing is None else np.tile(samples.backfacing, len(places)),
     )
     look = at_places(mesh, whole, graphs, table, np.tile(scale, len(places)))
     named = {name: getattr(look, name) for name in ("color", "surface", "emission", "normal")}

@@ -180,6 +180,10 @@ def convert_material(material: bpy.types.Material, placement: FindPlacement = no
     translucent = _is_translucent(surface)
     if not translucent:
         surface = replace(surface, transmission_color=WHITE)
+    elif any(isinstance(node, input_nodes.Backfacing) for node in walk(surface.alpha, surface.transmission_color)):
+        tree.warnings.append(
+            f'Material "{material.name}": lights with a size cast its shadows as though all saw the front of it'
+        )
     constants, graph = _split_constants(surface, tree)
     passes = constants.pop("transmission_color")
     return MaterialRow(
@@ -209,8 +213,8 @@ def _is_translucent(surface: Surface) -> bool:
     value = constant(surface.alpha)
     if value is not None:
         return bool(value[0] < 1 - 1e-6)
-    if any(isinstance(node, input_nodes.ObjectValue) for node in walk(surface.alpha)):
-        return True  # meshes that several objects show are cut out alike
+    if any(isinstance(node, input_nodes.ObjectValue | input_nodes.Backfacing) for node in walk(surface.alpha)):
+        return True  # meshes that several objects show are cut out alike, and seen from either side
     return not is_mask(surface.alpha) or not is_constant(surface.transmission_color, 1)
 
 

@@ -95,6 +95,7 @@ def mix_surfaces(a: Surface, b: Surface, factor: Expression) -> Surface:
     both_opaque = is_constant(a.alpha, 1) and is_constant(b.alpha, 1)
     t = factor if both_opaque else math_nodes.Math(b_weight, alpha, ZERO, "DIVIDE")
     a, b = _with_coat_of(a, b), _with_coat_of(b, a)
+    a, b = _with_dielectric_of(a, b), _with_dielectric_of(b, a)
     backlit = _mixed_backlit(t, a, b)
     mixed = {f.name: _mix_unless_equal(t, getattr(a, f.name), getattr(b, f.name)) for f in fields(Surface)}
     return Surface(
@@ -121,6 +122,11 @@ def _with_coat_of(bare: Surface, other: Surface) -> Surface:
     if not is_constant(bare.coat, 0):
         return bare
     return replace(bare, coat_roughness=other.coat_roughness, coat_ior=other.coat_ior, coat_tint=other.coat_tint)
+
+
+def _with_dielectric_of(metal: Surface, other: Surface) -> Surface:
+    """A surface, which if it is a metal has the index of refraction and the level of the other's, and shows neither."""
+    return replace(metal, ior=other.ior, specular=other.specular) if is_constant(metal.metallic, 1) else metal
 
 
 def faded(surface: Surface, alpha: Expression) -> Surface:

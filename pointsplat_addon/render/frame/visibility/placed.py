@@ -164,6 +164,7 @@ def footprints_in_view(
     toward = position if perspective else np.broadcast_to([0.0, 0.0, -1.0], position.shape)
     towards = np.einsum("nc,nc->n", plane, toward)
     least = GRAZING * np.sqrt(np.einsum("nc,nc->n", toward, toward))
+    backfacing = towards > 0
     towards = np.where(towards < 0, np.minimum(towards, -least), np.maximum(towards, least))
     half = 0.5 * view.footprint * (depth if perspective else np.ones_like(depth))
     ways = []
@@ -174,7 +175,8 @@ def footprints_in_view(
         ways.append(_turned(turn, slot, way * (half / focal[axis])[:, None]))
     scale = np.cbrt(np.abs(np.linalg.det(turn))).astype(np.float32)
     scale = np.divide(1, scale, out=np.ones_like(scale), where=scale > 0)
-    return footprints(mesh, triangle, _turned(turn, slot, position) + move[slot], *ways), scale[slot]
+    found = footprints(mesh, triangle, _turned(turn, slot, position) + move[slot], *ways)
+    return replace(found, backfacing=backfacing), scale[slot]
 
 
 def _turned(matrices: np.ndarray, slot: np.ndarray, vectors: np.ndarray) -> np.ndarray:
