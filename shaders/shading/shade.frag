@@ -166,6 +166,9 @@ void main()
   out_focus = covered * vec4(centre.x, 1.0, 0.0, 0.0);
 #endif
   out_combined = holdout ? vec4(0.0) : covered * vec4(ps_finite(radiance), 1.0);
+#ifdef PS_CUT_OUT
+  out_combined *= 1.0 - texelFetch(ps_materials, ivec2(9, material), 0).w;
+#endif
 #endif
 
 #ifdef PS_OUT_NORMAL

@@ -257,8 +257,8 @@ def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
         coats = () if table.coat is None else table.coat.roughness
         smoothest = 0.0 if varies else float(np.min([table.roughness.min(), *coats]))
         found = (*_world(scene), *light_names(scene.lights, smoothest))
-        if not found and table.coat is not None and (table.emission > 0).any():
-            found = ("PS_HAS_WORLD",)  # a black one: coats dim what shines below them
+        if not found and not (table.coat is None and table.sheen is None) and (table.emission > 0).any():
+            found = ("PS_HAS_WORLD",)  # a black one: coats and fibres dim what shines below them
     return found + (() if view.shadows is None else _shadows(view.shadows))
 
 
@@ -322,8 +322,14 @@ def _materials(scene: Scene, varies: bool) -> tuple[str, ...]:
         "PS_HAS_GLOW": bool((table.emission > 0).any()),
         "PS_COAT": table.coat is not None,
         "PS_BACKLIT": table.backlit is not None,
+        "PS_TINTED": table.tint is not None,
+        "PS_ROUGH_DIFFUSE": table.diffuse_roughness is not None,
+        "PS_SHEEN": table.sheen is not None,
+        "PS_TOON": table.toon is not None,
+        "PS_CUT_OUT": table.holdout is not None,
         "PS_ONE_SURFACE": not metal
         and table.coat is None
+        and table.tint is None
         and all(bool((values == values[0]).all()) for values in (table.roughness, table.ior, table.specular)),
     }
     return tuple(name for name, needed in found.items() if needed)

@@ -136,7 +136,7 @@ vec3 ps_area_light(int index, bool ellipse, vec3 position, PsLobes lobes)
   int count = ps_is_small(lobes, sigma) || narrow == 1.0 ? 1 : 7;
   vec3 wide = solid_angle * ps_area_specular(area, count, ellipse, ps_widened_alpha2(lobes, sigma), lobes);
   vec3 specular = mix(wide, ps_narrow_specular(area, height, ellipse, lobes), narrow);
-  vec3 reflected = ps_reflected(PsReceived(irradiance, specular), lobes, color, light_position.w);
+  vec3 reflected = ps_reflected(ps_received(irradiance, specular, normalize(area.offset)), lobes, color, light_position.w);
   // Half a sphere of light comes to what lies in front of it, nothing to what lies in its plane, but for rounding.
   vec3 apart = light_position.xyz - position;
   float rounding = 1e-6 * (length(position) + length(light_position.xyz));
