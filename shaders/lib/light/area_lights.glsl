@@ -117,6 +117,30 @@ vec3 ps_area_specular(PsArea area, int count, bool ellipse, float a2, PsLobes lo
   return sum / weights;
 }
 
+#ifdef PS_SHAPED
+
+// Mean of the diffuse lobes' BSDF over the light, times pi, by the same points, which weigh with their irradiance.
+vec3 ps_area_shaped(PsArea area, bool ellipse, PsLobes lobes)
+{
+  vec2 azimuth = vec2(0.0);
+  float weights = 0.0;
+  vec3 sum = vec3(0.0);
+  for (int i = 0; i < 7; i++) {
+    vec3 point = ellipse ? vec3(PS_DISK_RADIUS * azimuth, i == 0 ? 0.25 : 0.125) : ps_square_point(azimuth);
+    vec3 to_point = area.offset + point.x * area.axis_u + point.y * area.axis_v;
+    float inverse = inversesqrt(max(dot(to_point, to_point), 1e-20));
+    vec3 direction = to_point * inverse;
+    float weight = point.z * inverse * inverse * inverse * ps_beam(area, -dot(direction, area.direction));
+    weight *= max(dot(direction, lobes.normal), 1e-6);
+    sum += weight * ps_shaped(lobes, direction);
+    weights += weight;
+    azimuth = ps_next_azimuth(azimuth);
+  }
+  return sum / max(weights, 1e-30);
+}
+
+#endif
+
 // `ellipse` is a constant where this is called.
 vec3 ps_area_light(int index, bool ellipse, vec3 position, PsLobes lobes)
 {
@@ -136,7 +160,12 @@ vec3 ps_area_light(int index, bool ellipse, vec3 position, PsLobes lobes)
   int count = ps_is_small(lobes, sigma) || narrow == 1.0 ? 1 : 7;
   vec3 wide = solid_angle * ps_area_specular(area, count, ellipse, ps_widened_alpha2(lobes, sigma), lobes);
   vec3 specular = mix(wide, ps_narrow_specular(area, height, ellipse, lobes), narrow);
-  vec3 reflected = ps_reflected(ps_received(irradiance, specular, normalize(area.offset)), lobes, color, light_position.w);
+#ifdef PS_SHAPED
+  PsReceived received = PsReceived(irradiance, specular, ps_area_shaped(area, ellipse, lobes));
+#else
+  PsReceived received = PsReceived(irradiance, specular);
+#endif
+  vec3 reflected = ps_reflected(received, lobes, color, light_position.w);
   // Half a sphere of light comes to what lies in front of it, nothing to what lies in its plane, but for rounding.
   vec3 apart = light_position.xyz - position;
   float rounding = 1e-6 * (length(position) + length(light_position.xyz));

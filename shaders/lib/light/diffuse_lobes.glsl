@@ -54,8 +54,16 @@ float ps_toon_diffuse(PsLobes lobes, vec3 direction)
   vec3 across = cross(lobes.normal, direction);
   float angle = atan(length(across), cosine);
   float size = 0.5 * PS_PI * lobes.toon.x, smoothness = 0.5 * PS_PI * lobes.toon.y;
-  float shown = angle < size ? 1.0 : smoothness > 0.0 ? max(1.0 - (angle - size) / smoothness, 0.0) : 0.0;
-  return cosine > 0.0 ? shown * 0.5 / ((1.0 - cos(min(size + smoothness, 0.5 * PS_PI))) * max(cosine, 1e-4)) : 0.0;
+  float all = 1.0 - cos(min(size + smoothness, 0.5 * PS_PI));
+#ifdef PS_SPREAD
+  // Over as many normals as are seen.
+  float range = 1.6 * sqrt(0.5 * max(lobes.spread, 1e-12));
+#else
+  float range = 1e-6;
+#endif
+  size -= max(range - 0.5 * smoothness, 0.0);
+  float shown = clamp(1.0 - (angle - size) / max(smoothness, 2.0 * range), 0.0, 1.0);
+  return cosine > 0.0 ? shown * 0.5 / (all * max(cosine, 1e-4)) : 0.0;
 }
 
 #endif

@@ -17,14 +17,15 @@ struct PsReceived {
   float irradiance;
   vec3 specular;  // radiance of the GGX lobe
 #ifdef PS_SHAPED
-  vec3 from;  // unit: where the irradiance comes from
+  vec3 diffuse;  // mean of the diffuse lobes' BSDF over the irradiance, times pi
 #endif
 };
 
-PsReceived ps_received(float irradiance, vec3 specular, vec3 from)
+// `from`: unit, where the irradiance comes from.
+PsReceived ps_received(float irradiance, vec3 specular, PsLobes lobes, vec3 from)
 {
 #ifdef PS_SHAPED
-  return PsReceived(irradiance, specular, from);
+  return PsReceived(irradiance, specular, ps_shaped(lobes, from));
 #else
   return PsReceived(irradiance, specular);
 #endif
@@ -39,7 +40,7 @@ vec4 ps_light(int index, int column)
 vec3 ps_reflected(PsReceived received, PsLobes lobes, vec4 color, float specular)
 {
 #ifdef PS_SHAPED
-  vec3 diffuse = received.irradiance > 0.0 ? ps_shaped(lobes, received.from) : vec3(0.0);
+  vec3 diffuse = received.irradiance > 0.0 ? received.diffuse : vec3(0.0);
 #else
   vec3 diffuse = lobes.diffuse;
 #endif
