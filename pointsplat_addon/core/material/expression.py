@@ -44,6 +44,7 @@ class SampleInputs:
     # change along them
     moved: tuple[SampleInputs, SampleInputs] | None = None
     steps: np.ndarray | None = None
+    unit: np.ndarray | None = None  # (N, 1): how long of these ways a unit of object space is; None: 1
     # (width, height) of an image whose texel centres every UV map holds, row by row, from the texel `first` on:
     # images of that size are then read and not interpolated
     grid: tuple[int, int] | None = None
@@ -77,6 +78,7 @@ class SampleInputs:
             displaced=_take(self.displaced, part),
             moved=_take(self.moved, part),
             steps=None if self.steps is None else self.steps[:, part],
+            unit=None if self.unit is None else self.unit[part],
             grid=grid,
             first=first,
             **single,

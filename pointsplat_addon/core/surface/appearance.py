@@ -310,7 +310,7 @@ def _evaluate(
         found = _inputs(mesh, graph, _subset(samples, part), position[part], normal[part], wide)
         if scale is None or found.steps is None:
             return found
-        return replace(found, steps=found.steps * scale[part, None])
+        return replace(found, steps=found.steps * scale[part, None], unit=scale[part, None])
 
     return evaluate_materials(rows, graphs, inputs, table, normal)
 

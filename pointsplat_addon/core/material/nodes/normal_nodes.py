@@ -62,6 +62,7 @@ class Bump(Expression):
     strength: Expression
     distance: Expression  # object units of a height of 1; negative: heights lead inwards
     normal: Expression  # what is raised
+    of_object: bool = False  # distances grow with the object; else they are of world space where that is known
 
     @property
     def varies(self) -> bool:
@@ -72,6 +73,8 @@ class Bump(Expression):
         if inputs.moved is None or inputs.steps is None:
             return normal
         a, b = (compute_node(self.height, moved, {}) - height for moved in inputs.moved)
+        if self.of_object and inputs.unit is not None:
+            distance = distance * inputs.unit
         return bumped(normal, inputs.steps[0], inputs.steps[1], distance * a, distance * b, strength)
 
 

@@ -23,6 +23,7 @@ from ....core.numeric.cryptomatte import cryptomatte_hash
 from ....core.numeric.record import record
 from ....core.scene.materials import CoatTable, HairTable, MaterialTable, default_materials
 from ....core.scene.volume import Medium
+from .displacement import read_displacement
 from .media import read_medium
 from .nodes.table import tree_reader
 from .nodes.tree import FindPlacement, HairConstants, Placement, TreeReader, UnsupportedNodeError, nowhere
@@ -194,6 +195,8 @@ def convert_material(material: bpy.types.Material, placement: FindPlacement = no
     """
     tree = tree_reader(material.name, placement, material.pass_index)
     output = output_node(material)
+    if output is not None:
+        tree.normal = read_displacement(tree, material, output)
     surface = _material_surface(material, output, tree)
     translucent = _is_translucent(surface)
     if not translucent:
