@@ -135,6 +135,9 @@ void main()
   surface.roughness = bent.w;
   surface.metallic = tint.w;
 #endif
+#ifdef PS_TANGENT
+  ps_grain = texelFetch(ps_tangent, pixel, 0).xyz;
+#endif
 #ifdef PS_SPREAD
   surface.spread = centre.w <= PS_POLYGON ? max(centre.y, 0.0) : 0.0;
 #endif

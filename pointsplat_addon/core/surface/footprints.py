@@ -110,7 +110,7 @@ def _only_images(graph: MaterialGraph) -> bool:
     even = ImageTexture, Source, Constant, Color, Component, Gray, Combine, Mix, Mapping, Math
     nodes = list(walk(*graph.channels.values()))
     jumps = any(isinstance(node, Math) and node.operation not in EVEN for node in nodes)
-    return graph.normal is None and not jumps and all(isinstance(node, even) for node in nodes)
+    return graph.normal is None and graph.tangent is None and not jumps and all(isinstance(node, even) for node in nodes)
 
 
 def through_at(
@@ -131,7 +131,7 @@ def _means(look: Look) -> Look:
     weight = through[..., 3:] + np.float32(1e-6)
     weight /= weight.sum(axis=0)
     return {
-        name: values.mean(axis=0) if name in (THROUGH, "normal") else (weight * values).sum(axis=0)
+        name: values.mean(axis=0) if name in (THROUGH, "normal", "tangent") else (weight * values).sum(axis=0)
         for name, values in look.items()
     }
 
@@ -159,7 +159,7 @@ def _at(
         None if samples.backfacing is None else np.tile(samples.backfacing, len(places)),
     )
     look = at_places(mesh, whole, graphs, table, np.tile(scale, len(places)))
-    named = {name: getattr(look, name) for name in ("color", "surface", "emission", "normal")}
+    named = {name: getattr(look, name) for name in ("color", "surface", "emission", "normal", "tangent")}
     if translucent:
         named[THROUGH] = _through(look, material_ids(mesh, whole), table)
     return {n: a.reshape(len(places), len(samples), -1) for n, a in named.items() if a is not None}

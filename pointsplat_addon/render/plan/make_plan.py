@@ -77,6 +77,7 @@ class _Attributes:
     color: bool
     surface: bool  # roughness and metallic
     emission: bool
+    tangent: bool  # the direction of a stretched lobe
 
 
 def make_plan(view: ViewToPlan) -> Plan:
@@ -198,6 +199,7 @@ def _attributes(view: ViewToPlan, kinds: _Kinds) -> _Attributes:
         color=surface or any(c.color is not None for c in clouds) or bool(channels & {"base_color", "alpha"}),
         surface=surface,
         emission=view.picture and (any(c.emission is not None for c in clouds) or "emission" in channels),
+        tangent=view.picture and view.sub_samples > 0 and view.reflects and "tangent" in channels,
     )
 
 
@@ -222,6 +224,7 @@ def _variants(view: ViewToPlan, kinds: _Kinds, attributes: _Attributes, normals:
         attributes.emission,
         wide=wide,
         front=pyramid and not view.painter,
+        tangent=normals and attributes.tangent,
     )
     if view.painter:
         data_variant = replace(variant, normal=True, emission=False, owner=owner, velocity=velocity, front=pyramid)

@@ -34,6 +34,12 @@ float ps_rectangle_share(vec2 at, vec2 width)
 vec3 ps_lambertian_half(vec3 to_point, PsLobes lobes)
 {
   vec3 half_vector = to_point * inversesqrt(max(dot(to_point, to_point), 1e-20)) + lobes.to_eye;
+#ifdef PS_TANGENT
+  // Alphas along and across the grain are as one, and that of the normal its mean.
+  half_vector += dot(half_vector, lobes.grain) * (1.0 / lobes.stretch - 1.0) * lobes.grain;
+  vec3 across = cross(lobes.reflecting, lobes.grain);
+  half_vector += dot(half_vector, across) * (lobes.stretch - 1.0) * across;
+#endif
   return half_vector - (1.0 - lobes.alpha) * dot(half_vector, lobes.reflecting) * lobes.reflecting;
 }
 

@@ -56,6 +56,9 @@ float ps_diffuse_roughness;
 #ifdef PS_SHEEN
 vec4 ps_sheen;  // colour and roughness
 #endif
+#ifdef PS_TANGENT
+vec3 ps_grain;  // along which the GGX lobe of the surface is stretched; as long as 1 - 1 / how much
+#endif
 #ifdef PS_TOON
 vec3 ps_toon;  // size and smoothness; whether it is one
 #endif
@@ -89,6 +92,11 @@ struct PsLobes {
 #ifdef PS_SHEEN
   vec3 fibres;  // what they reflect of uniform light
   vec2 bend;  // of the lobe, which is a cosine's, linearly transformed
+#endif
+#ifdef PS_TANGENT
+  vec3 grain;  // unit, across `reflecting`; 0: the lobe is round
+  float stretch;  // alpha along the grain over the mean one
+  float own2;  // alpha squared of the material, its mean
 #endif
 #ifdef PS_LAYERED
   vec3 below;  // what layers above leave of the lobe
@@ -225,6 +233,13 @@ PsLobes ps_lobes(PsSurface surface, vec3 normal, vec3 plane, vec3 to_eye)
 #endif
 #endif
   lobes.alpha = max(lobes.roughness * lobes.roughness, PS_MIN_ALPHA);
+#ifdef PS_TANGENT
+  vec3 grain = ps_grain - dot(ps_grain, lobes.reflecting) * lobes.reflecting;
+  float grain2 = dot(grain, grain);
+  lobes.grain = grain2 > 1e-8 ? grain * inversesqrt(grain2) : vec3(0.0);
+  lobes.stretch = grain2 > 1e-8 ? 1.0 / (1.0 - min(length(ps_grain), 0.99)) : 1.0;
+  lobes.own2 = lobes.alpha * lobes.alpha;
+#endif
 #ifdef PS_SPREAD
   // Squares of alpha are twice the variance of slopes along one direction.
   lobes.spread = surface.spread;
@@ -349,6 +364,9 @@ PsLobes ps_coat_lobes(vec3 normal, vec3 plane, vec3 to_eye, float spread)
 #ifdef PS_TINTED
   ps_tint = vec3(1.0);
 #endif
+#ifdef PS_TANGENT
+  ps_grain = vec3(0.0);
+#endif
   PsLobes coat = ps_lobes(surface, normal, plane, to_eye);
   coat.reflectance *= ps_coat.layer.x;
   coat.dielectric_scale *= ps_coat.layer.x;
@@ -373,6 +391,26 @@ PsLobes ps_covered_lobes(PsLobes lobes, vec3 left)
 
 #endif
 
+#ifdef PS_TANGENT
+
+// Squares of alpha along the grain, across it, and of 1 along the normal, of a lobe of which a2 is the mean one.
+vec3 ps_stretched(PsLobes lobes, float a2)
+{
+  float more = a2 - lobes.own2, stretch2 = lobes.stretch * lobes.stretch;
+  return vec3(max(vec2(lobes.own2 * stretch2, lobes.own2 / stretch2) + more, vec2(1e-6)), 1.0);
+}
+
+// Squares of the components of a vector along the grain, across it, and along the normal.
+vec3 ps_parts2(PsLobes lobes, vec3 v)
+{
+  float along = dot(v, lobes.grain), up = dot(v, lobes.reflecting);
+  float across = dot(v, cross(lobes.reflecting, lobes.grain));
+  return lobes.stretch == 1.0 ? vec3(max(dot(v, v) - up * up, 0.0), 0.0, up * up) :
+                                vec3(along * along, across * across, up * up);
+}
+
+#endif
+
 // Angle by which reflected rays turn along a unit direction where the half vector's slope is alpha, per unit of length
 // along `direction` at unit distance.
 float ps_width_along(PsLobes lobes, vec3 direction)
@@ -380,7 +418,14 @@ float ps_width_along(PsLobes lobes, vec3 direction)
   vec3 seen = direction - dot(direction, lobes.mirror) * lobes.mirror;
   float size2 = max(dot(seen, seen), 1e-6);
   float across = dot(seen, lobes.across);
-  return 2.0 * lobes.alpha * sqrt((1.0 - across * across / size2 * (1.0 - lobes.cos_eye * lobes.cos_eye)) / size2);
+#ifdef PS_TANGENT
+  vec3 parts = ps_parts2(lobes, seen);
+  vec2 turned = ps_stretched(lobes, lobes.alpha * lobes.alpha).xy;
+  float alpha = sqrt(dot(parts.xy, turned) / max(parts.x + parts.y, 1e-9));
+#else
+  float alpha = lobes.alpha;
+#endif
+  return 2.0 * alpha * sqrt((1.0 - across * across / size2 * (1.0 - lobes.cos_eye * lobes.cos_eye)) / size2);
 }
 
 // The part of alpha squared that is the material's own: normals that are seen do not mask each other.
@@ -394,10 +439,16 @@ float ps_own_alpha2(PsLobes lobes, float a2)
 }
 
 // 2 n.l n.v over the share of both directions that is not masked, which correlate (Heitz 2014, equation 99).
-float ps_masked(PsLobes lobes, float above, float rough2)
+float ps_masked(PsLobes lobes, vec3 direction, float above, float rough2)
 {
+#ifdef PS_TANGENT
+  vec3 alpha2 = ps_stretched(lobes, rough2);
+  return above * sqrt(dot(alpha2, ps_parts2(lobes, lobes.to_eye))) +
+         lobes.cos_eye * sqrt(dot(alpha2, ps_parts2(lobes, direction)));
+#else
   return above * sqrt(rough2 + (1.0 - rough2) * lobes.cos_eye * lobes.cos_eye) +
          lobes.cos_eye * sqrt(rough2 + (1.0 - rough2) * above * above);
+#endif
 }
 
 // Reflectance of what the half vector stands on, times the lobe's multiple scattering.
@@ -430,7 +481,7 @@ vec3 ps_half_weight(PsLobes lobes, vec3 direction)
 {
   vec3 h = direction + lobes.to_eye;
   float above = max(dot(lobes.reflecting, direction), 0.0), h2 = dot(h, h);
-  float masked = ps_masked(lobes, above, ps_own_alpha2(lobes, lobes.alpha * lobes.alpha));
+  float masked = ps_masked(lobes, direction, above, ps_own_alpha2(lobes, lobes.alpha * lobes.alpha));
   // v.h / n.h: the length of h cancels.
   float turned = above > 0.0 ? 0.5 * h2 / max(dot(lobes.reflecting, h), 1e-6) : 0.0;
   return ps_fresnel(lobes, min(0.5 * sqrt(h2), 1.0)) * (2.0 * above * turned / masked);
@@ -449,14 +500,26 @@ vec3 ps_specular(PsLobes lobes, vec3 direction, float a2)
   vec3 sine = cross(lobes.reflecting, h);
   float spread = a2 * along * along + dot(sine, sine);
   float cos_between = min(0.5 * sqrt(h2), 1.0);
-  float masked = ps_masked(lobes, above, ps_own_alpha2(lobes, a2));
+  float masked = ps_masked(lobes, direction, above, ps_own_alpha2(lobes, a2));
+#ifdef PS_TANGENT
+  vec3 alpha2 = ps_stretched(lobes, a2), parts = ps_parts2(lobes, h);
+  float narrow = dot(parts, 1.0 / alpha2);
+  float mean2 = sqrt(alpha2.x * alpha2.y);
+  float density = 1.0 / (mean2 * narrow * narrow);
+#else
+  float mean2 = a2;
   float density = a2 / (spread * spread);
+#endif
 #ifdef PS_SPREAD
   // Normals that are seen have no tails as those of a GGX lobe.
-  float share = lobes.widened / a2;
+  float share = min(lobes.widened / mean2, 1.0);
   float along2 = along > 0.0 ? along * along : 1e-9;
-  float tan2 = dot(sine, sine) / along2;
-  density = mix(density, exp(-tan2 / a2) / (a2 * along2 * along2), share);
+#ifdef PS_TANGENT
+  float exponent = dot(parts.xy / alpha2.xy, vec2(1.0)) / along2;
+#else
+  float exponent = dot(sine, sine) / (along2 * a2);
+#endif
+  density = mix(density, exp(-exponent) / (mean2 * along2 * along2), share);
 #endif
   float lobe = density * h2 * h2 * above / (2.0 * PS_PI * masked);
   bool lit = cos_light > 0.0 && dot(lobes.normal, direction) > 0.0 && dot(lobes.reflecting, lobes.to_eye) > 0.0;

@@ -291,6 +291,10 @@ def _split_constants(surface: Surface, tree: TreeReader) -> tuple[dict[str, tupl
     varying: dict[str, Expression] = {}
     for name, (_, top) in CHANNELS.items():
         expression = getattr(surface, name)
+        if name == "tangent":
+            if expression.varies:
+                varying[name] = expression
+            continue
         if name == "normal":
             # A normal that is the same everywhere comes from an empty or broken input
             if (

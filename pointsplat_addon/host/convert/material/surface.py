@@ -44,6 +44,7 @@ class Surface:
     coat_roughness: Expression = COAT_ROUGHNESS
     coat_ior: Expression = GLASS_IOR
     coat_tint: Expression = WHITE
+    tangent: Expression = BLACK  # of stretched reflections; BLACK: they are round
     # All that follows is constant
     tint: Expression = WHITE  # of the specular reflection: core.scene.materials.MaterialTable.tint
     diffuse_roughness: Expression = ZERO
@@ -152,6 +153,8 @@ def _with_unseen_of(surface: Surface, other: Surface) -> Surface:
         unseen += ["ior", "specular"]
     elif is_constant(surface.metallic, 0) and is_constant(surface.specular, 0):
         unseen += ["tint"]
+    if dark and is_constant(surface.metallic, 0) and is_constant(surface.specular, 0):
+        unseen += ["tangent"]
     if metal or dark:
         unseen += ["diffuse_roughness", "toon"]
     return replace(surface, **{name: getattr(other, name) for name in unseen})

@@ -10,7 +10,7 @@ import numpy as np
 
 from ....core.light.bsdf import f82_of_conductor
 from ....core.material.expression import Expression, constant
-from ....core.material.nodes import color_nodes, input_nodes, math_nodes
+from ....core.material.nodes import color_nodes, input_nodes, math_nodes, normal_nodes
 from .hair_shaders import HAIR_SHADERS
 from .nodes.tree import NodeReader, Path, TreeReader, UnsupportedNodeError, constant_input, resolve
 from .surface import (
@@ -42,11 +42,10 @@ def read_surface(tree: TreeReader, socket: bpy.types.NodeSocket, path: Path) -> 
     return convert(NodeReader(tree, output.node, path))
 
 
+NINE_TENTHS = input_nodes.Constant((0.9,))
 LEFT_OUT = {  # inputs that are 0 where there is none
     "Subsurface Weight": "subsurface scattering",
     "Thin Film Thickness": "thin film",
-    "Anisotropic": "anisotropy",
-    "Anisotropy": "anisotropy",
 }
 
 
@@ -69,6 +68,7 @@ def _principled(node: NodeReader) -> Surface:
         specular=constant_input(node, "Specular IOR Level"),
         tint=constant_input(node, "Specular Tint"),
         diffuse_roughness=constant_input(node, "Diffuse Roughness"),
+        tangent=_tangent(node, "Anisotropic", "Anisotropic Rotation"),
         **_coat(node),
         **_sheen(node),
     )
@@ -136,7 +136,10 @@ def _metallic(node: NodeReader) -> Surface:
         color, tint = (
             input_nodes.Constant(tuple(values.tolist())) for values in f82_of_conductor(constant(index), constant(extinction))
         )
-    return Surface(base_color=color, roughness=node["Roughness"], metallic=ONE, tint=tint, normal=node["Normal"])
+    tangent = _tangent(node, "Anisotropy", "Rotation")
+    return Surface(
+        base_color=color, roughness=node["Roughness"], metallic=ONE, tint=tint, tangent=tangent, normal=node["Normal"]
+    )
 
 
 def _specular(node: NodeReader) -> Surface:
@@ -166,8 +169,46 @@ def _holdout(node: NodeReader) -> Surface:
 
 
 def _glossy(node: NodeReader) -> Surface:
-    _warn_of_left_out(node)
-    return Surface(base_color=node["Color"], roughness=node["Roughness"], metallic=ONE, normal=node["Normal"])
+    tangent = _glossy_tangent(node)
+    return Surface(
+        base_color=node["Color"], roughness=node["Roughness"], metallic=ONE, tangent=tangent, normal=node["Normal"]
+    )
+
+
+def _tangent(node: NodeReader, anisotropy: str, rotation: str) -> Expression:
+    """Surface.tangent of a Principled BSDF, whose roughness along it is 1 / sqrt(1 - 0.9 a) times the mean one."""
+    amount = math_nodes.Clamp(node[anisotropy], ZERO, ONE)
+    if is_constant(amount, 0):
+        return BLACK
+    aspect2 = math_nodes.Math(ONE, math_nodes.Math(NINE_TENTHS, amount, ZERO, "MULTIPLY"), ZERO, "SUBTRACT")
+    stretch = math_nodes.Math(ONE, math_nodes.Math(aspect2, ZERO, ZERO, "SQRT"), ZERO, "SUBTRACT")
+    return _along(node, stretch, node[rotation])
+
+
+def _glossy_tangent(node: NodeReader) -> Expression:
+    """Surface.tangent of a Glossy BSDF, which is smoother along Blender's tangent by 1 - a where that is above 0."""
+    amount = math_nodes.Clamp(node["Anisotropy"], *(input_nodes.Constant((end,)) for end in (-0.99, 0.99)))
+    if is_constant(amount, 0):
+        return BLACK
+    positive = math_nodes.Math(amount, ZERO, ZERO, "GREATER_THAN")
+    quarter = math_nodes.Math(positive, input_nodes.Constant((0.25,)), ZERO, "MULTIPLY")
+    turns = math_nodes.Math(node["Rotation"], quarter, ZERO, "ADD")
+    return _along(node, math_nodes.Math(amount, ZERO, ZERO, "ABSOLUTE"), turns)
+
+
+def _along(node: NodeReader, stretch: Expression, turns: Expression) -> Expression:
+    """A tangent around the object's z axis, or as a Tangent node has it."""
+    found = resolve(node.socket("Tangent"), node.path)
+    axis, uv = 2, None
+    if found is not None and found[0].is_output:
+        source = found[0].node
+        if source.bl_idname != "ShaderNodeTangent":
+            node.warn("takes its tangent from another node than Tangent, in whose place the default one is used")
+        elif source.direction_type == "UV_MAP":
+            uv = input_nodes.UV(source.uv_map or None)
+        else:
+            axis = "XYZ".index(source.axis)
+    return normal_nodes.Tangent(stretch, turns, axis, uv)
 
 
 def _emission(node: NodeReader) -> Surface:

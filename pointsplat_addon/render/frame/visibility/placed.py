@@ -89,6 +89,10 @@ def placed_textures(
                 length = np.einsum("nc,nc->n", values, values)
                 spread = np.maximum(1 / np.maximum(length, 1e-4) - 1, 0)
                 values = np.column_stack([unit_rows(values), spread])
+            if name == "ps_placed_tangent":
+                # Across the normal in view space too
+                turn = np.ascontiguousarray(draw.object_from_view[:, :3, :3].swapaxes(1, 2))
+                values = unit_rows(_turned(turn, slot, values)) * np.linalg.norm(values, axis=1, keepdims=True)
             out[here, : values.shape[1]] = values
 
     for draw in shown:
