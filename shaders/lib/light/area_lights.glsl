@@ -123,6 +123,29 @@ vec3 ps_area_specular(PsArea area, int count, bool ellipse, float a2, PsLobes lo
   return sum / weights;
 }
 
+#ifdef PS_TANGENT
+#define PS_FINE_SIDE 8  // points along each side of the light
+#define PS_FINE_BLUR 0.004  // as PS_BLUR, of one of them
+
+// As ps_area_specular, by so many points that a lobe which is narrow in one direction does not pass between them.
+vec3 ps_area_stretched(PsArea area, int count, bool ellipse, float sigma, PsLobes lobes)
+{
+  float weights = 0.0, a2 = min(lobes.alpha * lobes.alpha + PS_FINE_BLUR * sigma * sigma, 1.0);
+  vec3 sum = vec3(0.0);
+  for (int i = 0; i < count; i++) {
+    vec2 at = (vec2(i % PS_FINE_SIDE, i / PS_FINE_SIDE) + 0.5) * (2.0 / float(PS_FINE_SIDE)) - 1.0;
+    float chord = ellipse ? sqrt(1.0 - at.x * at.x) : 1.0;
+    vec3 to_point = area.offset + at.x * area.axis_u + chord * at.y * area.axis_v;
+    float inverse = inversesqrt(max(dot(to_point, to_point), 1e-20));
+    float weight = chord * inverse * inverse * inverse;
+    vec3 direction = to_point * inverse;
+    sum += weight * ps_beam(area, -dot(direction, area.direction)) * ps_specular(lobes, direction, a2);
+    weights += weight;
+  }
+  return sum / max(weights, 1e-30);
+}
+#endif
+
 #ifdef PS_SHAPED
 
 // Mean of the diffuse lobes' BSDF over the light, times pi, by the same points, which weigh with their irradiance.
@@ -163,8 +186,17 @@ vec3 ps_area_light(int index, bool ellipse, vec3 position, PsLobes lobes)
   float solid_angle = ps_rectangle_solid_angle(area) * (ellipse ? PS_PI / 4.0 : 1.0);
   float sigma = sqrt(solid_angle / PS_PI);
   float narrow = smoothstep(PS_AREA_NARROW_LOW, PS_AREA_NARROW_HIGH, sigma / (sqrt(2.0) * lobes.alpha));
+#ifdef PS_TANGENT
+  bool fine = lobes.stretch > 1.0;
+  float least = lobes.alpha / lobes.stretch * float(PS_FINE_SIDE) * 0.5;
+  narrow = fine ? smoothstep(PS_AREA_NARROW_LOW, PS_AREA_NARROW_HIGH, sigma / (sqrt(2.0) * least)) : narrow;
+#endif
   int count = ps_is_small(lobes, sigma) || narrow == 1.0 ? 1 : 7;
   vec3 wide = solid_angle * ps_area_specular(area, count, ellipse, ps_widened_alpha2(lobes, sigma), lobes);
+#ifdef PS_TANGENT
+  vec3 stretched = ps_area_stretched(area, fine ? PS_FINE_SIDE * PS_FINE_SIDE : 0, ellipse, sigma, lobes);
+  wide = fine ? solid_angle * stretched : wide;
+#endif
   vec3 specular = mix(wide, ps_narrow_specular(area, height, ellipse, lobes), narrow);
 #ifdef PS_SHAPED
   PsReceived received = PsReceived(irradiance, specular, ps_area_shaped(area, ellipse, lobes));
