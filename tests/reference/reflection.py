@@ -140,7 +140,9 @@ def toon(cos_light: np.ndarray, size: float, smooth: float) -> np.ndarray:
     return shown / (2 * np.pi * (1 - np.cos(min(size + smooth, np.pi / 2))))
 
 
-def sheen(normal: np.ndarray, to_eye: np.ndarray, to_light: np.ndarray, look: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def sheen(
+    normal: np.ndarray, to_eye: np.ndarray, to_light: np.ndarray, look: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """What fibres reflect of uniform light, and BSDF times n.l, (N, 3) each. look: (4,), colour and roughness."""
     x, y = _dot(normal, to_eye), look[3]
     deviation = y * (0.0206607 + 1.58491 * y) / (0.0379424 + y * (1.32227 + y))

@@ -235,9 +235,13 @@ def interpolates(graph: MaterialGraph) -> bool:
     """Whether what a graph varies is, within a triangle, what its values at the corners interpolate to; alpha apart."""
     linear = UV, Attribute, ColorAttribute, Constant, Coordinates, Color, Component
     channels = {name: output for name, output in graph.channels.items() if name != "alpha"}
-    return graph.normal is None and graph.tangent is None and all(
-        isinstance(node, linear) and not (isinstance(node, Coordinates) and node.kind == "normal")
-        for node in walk(*channels.values())
+    return (
+        graph.normal is None
+        and graph.tangent is None
+        and all(
+            isinstance(node, linear) and not (isinstance(node, Coordinates) and node.kind == "normal")
+            for node in walk(*channels.values())
+        )
     )
 
 

@@ -110,7 +110,9 @@ def _only_images(graph: MaterialGraph) -> bool:
     even = ImageTexture, Source, Constant, Color, Component, Gray, Combine, Mix, Mapping, Math
     nodes = list(walk(*graph.channels.values()))
     jumps = any(isinstance(node, Math) and node.operation not in EVEN for node in nodes)
-    return graph.normal is None and graph.tangent is None and not jumps and all(isinstance(node, even) for node in nodes)
+    return (
+        graph.normal is None and graph.tangent is None and not jumps and all(isinstance(node, even) for node in nodes)
+    )
 
 
 def through_at(

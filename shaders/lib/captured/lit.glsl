@@ -13,7 +13,7 @@ vec3 ps_captured_light(vec3 position, vec3 normal, vec3 to_eye, int light_count)
   PsLobes lobes = ps_lobes(PsSurface(vec3(1.0), vec3(0.0), 1.0, 0.0, 1.0), normal, vec3(0.0), to_eye);
   lobes.diffuse = vec3(1.0);
   lobes.reflectance = vec3(0.0);
-#ifdef PS_SHAPED
+#ifdef PS_DIFFUSE_LOBES
   lobes.even = lobes.diffuse;
 #endif
 #ifdef PS_ROUGH_DIFFUSE

@@ -146,7 +146,7 @@ vec3 ps_area_stretched(PsArea area, int count, bool ellipse, float sigma, PsLobe
 }
 #endif
 
-#ifdef PS_SHAPED
+#ifdef PS_DIFFUSE_LOBES
 
 // Mean of the diffuse lobes' BSDF over the light, times pi, by the same points, which weigh with their irradiance.
 vec3 ps_area_shaped(PsArea area, bool ellipse, PsLobes lobes)
@@ -198,7 +198,7 @@ vec3 ps_area_light(int index, bool ellipse, vec3 position, PsLobes lobes)
   wide = fine ? solid_angle * stretched : wide;
 #endif
   vec3 specular = mix(wide, ps_narrow_specular(area, height, ellipse, lobes), narrow);
-#ifdef PS_SHAPED
+#ifdef PS_DIFFUSE_LOBES
   PsReceived received = PsReceived(irradiance, specular, ps_area_shaped(area, ellipse, lobes));
 #else
   PsReceived received = PsReceived(irradiance, specular);

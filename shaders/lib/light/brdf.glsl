@@ -7,7 +7,7 @@
 #include "lib/light/terms.glsl"
 
 #if defined(PS_ROUGH_DIFFUSE) || defined(PS_SHEEN) || defined(PS_TOON)
-#define PS_SHAPED  // the diffuse lobe may be another than Lambert's
+#define PS_DIFFUSE_LOBES  // the diffuse lobe may be another than Lambert's
 #endif
 #if defined(PS_COAT) || defined(PS_SHEEN)
 #define PS_LAYERED
@@ -79,7 +79,7 @@ struct PsLobes {
   vec3 dielectric_f0;
   vec3 metal_dip;  // below Schlick's curve, by Kutz et al. 2021
 #endif
-#ifdef PS_SHAPED
+#ifdef PS_DIFFUSE_LOBES
   vec3 even;  // of uniform light, by diffuse lobes
 #endif
 #ifdef PS_ROUGH_DIFFUSE
@@ -175,7 +175,7 @@ vec3 ps_reflecting_normal(vec3 normal, vec3 plane, vec3 to_eye)
   return sqrt(1.0 - z2) * across + sqrt(z2) * plane;
 }
 
-#ifdef PS_SHAPED
+#ifdef PS_DIFFUSE_LOBES
 #include "lib/light/diffuse_lobes.glsl"
 #endif
 
@@ -271,7 +271,7 @@ PsLobes ps_lobes(PsSurface surface, vec3 normal, vec3 plane, vec3 to_eye)
 #ifdef PS_LAYERED
   lobes.below = vec3(1.0);
 #endif
-#ifdef PS_SHAPED
+#ifdef PS_DIFFUSE_LOBES
   lobes.even = lobes.diffuse;
 #endif
 #ifdef PS_ROUGH_DIFFUSE
@@ -300,7 +300,7 @@ void ps_keep_term(inout PsLobes lobes)
   lobes.reflectance = lobes.metal_scale = vec3(0.0);
   lobes.dielectric_scale = PS_DIELECTRIC(0.0);
 #endif
-#if defined(PS_SHAPED) && !defined(PS_SHOWS_DIFFUSE)
+#if defined(PS_DIFFUSE_LOBES) && !defined(PS_SHOWS_DIFFUSE)
   lobes.even = vec3(0.0);
 #ifdef PS_SHEEN
   lobes.fibres = vec3(0.0);
@@ -322,7 +322,7 @@ void ps_divide_diffuse(inout PsLobes lobes)
   ps_behind_lobes.diffuse *= ps_backlit;
   ps_behind_lobes.reflectance = ps_behind_lobes.metal_scale = vec3(0.0);
   ps_behind_lobes.dielectric_scale = PS_DIELECTRIC(0.0);
-#ifdef PS_SHAPED
+#ifdef PS_DIFFUSE_LOBES
   ps_behind_lobes.even = ps_behind_lobes.diffuse;
   lobes.even -= lobes.diffuse * ps_backlit;
 #endif
@@ -383,7 +383,7 @@ PsLobes ps_covered_lobes(PsLobes lobes, vec3 left)
   lobes.diffuse *= left;
   lobes.reflectance *= left;
   lobes.below *= left;
-#ifdef PS_SHAPED
+#ifdef PS_DIFFUSE_LOBES
   lobes.even *= left;
 #endif
   return lobes;

@@ -96,10 +96,10 @@ vec3 ps_mirrored_world(PsLobes lobes)
 #endif
 }
 
-#ifdef PS_SHAPED
-#define PS_EVEN(lobes) (lobes).even
+#ifdef PS_DIFFUSE_LOBES
+#define PS_DIFFUSE_OF(lobes) (lobes).even
 #else
-#define PS_EVEN(lobes) (lobes).diffuse
+#define PS_DIFFUSE_OF(lobes) (lobes).diffuse
 #endif
 
 #ifdef PS_INDIRECT
@@ -108,7 +108,7 @@ vec4 ps_gathered, ps_mirrored;
 
 vec3 ps_shade_world(PsLobes lobes)
 {
-  return PS_EVEN(lobes) * ps_gathered.rgb +
+  return PS_DIFFUSE_OF(lobes) * ps_gathered.rgb +
          lobes.reflectance * (ps_mirrored.rgb + ps_mirrored.a * ps_mirrored_world(lobes));
 }
 #else
@@ -116,9 +116,9 @@ vec3 ps_shade_world(PsLobes lobes)
 {
 #if defined(PS_HAS_ENVIRONMENT)
   vec2 uv = ps_uv_from_direction(ps_image_from_view(lobes.normal));
-  return PS_EVEN(lobes) * ps_environment_level(uv, PS_ROUGH_LEVELS + 1) + lobes.reflectance * ps_mirrored_world(lobes);
+  return PS_DIFFUSE_OF(lobes) * ps_environment_level(uv, PS_ROUGH_LEVELS + 1) + lobes.reflectance * ps_mirrored_world(lobes);
 #elif defined(PS_HAS_WORLD)
-  return (PS_EVEN(lobes) + lobes.reflectance) * ps_mirrored_world(lobes);
+  return (PS_DIFFUSE_OF(lobes) + lobes.reflectance) * ps_mirrored_world(lobes);
 #else
   return vec3(0.0);
 #endif

@@ -16,7 +16,7 @@
 struct PsReceived {
   float irradiance;
   vec3 specular;  // radiance of the GGX lobe
-#ifdef PS_SHAPED
+#ifdef PS_DIFFUSE_LOBES
   vec3 diffuse;  // mean of the diffuse lobes' BSDF over the irradiance, times pi
 #endif
 };
@@ -24,7 +24,7 @@ struct PsReceived {
 // `from`: unit, where the irradiance comes from.
 PsReceived ps_received(float irradiance, vec3 specular, PsLobes lobes, vec3 from)
 {
-#ifdef PS_SHAPED
+#ifdef PS_DIFFUSE_LOBES
   return PsReceived(irradiance, specular, ps_shaped(lobes, from));
 #else
   return PsReceived(irradiance, specular);
@@ -39,7 +39,7 @@ vec4 ps_light(int index, int column)
 // Radiance that the surface reflects; the light's colour and position texels hold its factors.
 vec3 ps_reflected(PsReceived received, PsLobes lobes, vec4 color, float specular)
 {
-#ifdef PS_SHAPED
+#ifdef PS_DIFFUSE_LOBES
   vec3 diffuse = received.irradiance > 0.0 ? received.diffuse : vec3(0.0);
 #else
   vec3 diffuse = lobes.diffuse;

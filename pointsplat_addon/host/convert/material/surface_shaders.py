@@ -134,7 +134,8 @@ def _metallic(node: NodeReader) -> Surface:
     else:
         index, extinction = (constant_input(node, name) for name in ("IOR", "Extinction"))
         color, tint = (
-            input_nodes.Constant(tuple(values.tolist())) for values in f82_of_conductor(constant(index), constant(extinction))
+            input_nodes.Constant(tuple(values.tolist()))
+            for values in f82_of_conductor(constant(index), constant(extinction))
         )
     tangent = _tangent(node, "Anisotropy", "Rotation")
     return Surface(

@@ -67,7 +67,9 @@ class TreeReader:
         self.placement = placement
         self.pass_index = pass_index
         self.warnings: list[str] = []
-        self.normal: Expression | None = None  # what inputs of normals have while nothing is linked; None: the surface's
+        self.normal: Expression | None = (
+            None  # what inputs of normals have while nothing is linked; None: the surface's
+        )
         self.hair: HairConstants | None = None  # set by a shader for strands
         self.glass = False  # set by shaders that transmit light
         self._converters = converters
