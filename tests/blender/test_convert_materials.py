@@ -656,7 +656,7 @@ def test_a_conductor_reflects_what_its_indices_say():
 def test_what_surfaces_are_not_is_told(kind, properties, told):
     _, warnings = convert_materials([surface("odd", lambda t: output(node(t, kind, **properties)))])
     assert len(warnings) == 1
-    assert warnings[0].startswith('Material "odd": node ')
+    assert warnings[0].startswith('Material "odd')
     assert warnings[0].endswith(told)
 
 

@@ -91,8 +91,7 @@ def test_surfaces_reflect_a_sun_as_in_cycles(empty_file, tmp_path, name):
     ball(material_of(*LOOKS[name]))
     cycles, found = drawn(tmp_path)
     assert cycles[..., :3].mean() > 0.002
-    # Measured 0.0088, where a highlight is narrower than a pixel's normals; of others 0.0029 to 0.0054; a plain surface has
-    # 0.003, by the noise of Cycles at edges
+    # Measured 0.0088, where normals turn within a pixel by more than the highlight is wide; of others 0.0029 to 0.0054
     assert error(cycles, found) < 0.012
 
 

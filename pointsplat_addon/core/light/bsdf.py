@@ -96,8 +96,10 @@ def _mean_fresnel(eta: np.ndarray) -> np.ndarray:
 
 
 def f82_of_conductor(index: np.ndarray, extinction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What a metal reflects at normal incidence, and its F82 tint (Kutz, Hasan and Edmondson 2021), (3,) float64 each, from
-    its complex index of refraction: n and k, (3,) each."""
+    """What a metal reflects at normal incidence, and its F82 tint (Kutz, Hasan and Edmondson 2021), (3,) float64 each.
+
+    index, extinction: (3,), of its complex index of refraction.
+    """
     n2, k2 = np.square(np.asarray(index, float)), np.square(np.asarray(extinction, float))
 
     def fresnel(cosine: float) -> np.ndarray:

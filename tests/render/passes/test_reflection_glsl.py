@@ -1,4 +1,4 @@
-"""Tints, rough diffuse surfaces, sheen, toons and stretched lobes of the shaders against float64, on random surfaces."""
+"""Tints, rough diffuse surfaces, sheen, toons and stretched lobes against float64, on random surfaces."""
 
 from pathlib import Path
 

@@ -13,7 +13,7 @@ ONE, ZERO = input_nodes.Constant((1.0,)), input_nodes.Constant((0.0,))
 
 
 def read_displacement(tree: TreeReader, material: bpy.types.Material, output: bpy.types.Node) -> Expression | None:
-    """The normal of the surface that the material's displacement raises, in place of its own; None if it raises nothing.
+    """The normal of the surface that the material's displacement raises; None if it raises nothing.
 
     As Cycles does, it goes to all inputs of normals to which nothing is linked.
     """
