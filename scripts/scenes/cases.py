@@ -17,7 +17,7 @@ from scripts.scenes.captured_cases import (
 from scripts.scenes.case import Case
 from scripts.scenes.detailed_cases import foliage, many_towers, split_mesh, strands
 from scripts.scenes.indirect_cases import among_balls_and_strands, in_a_corner
-from scripts.scenes.lit_cases import emission, environment, lights
+from scripts.scenes.lit_cases import emission, environment, lights, reflections
 from scripts.scenes.solid_cases import (
     balls,
     cube,
@@ -66,6 +66,7 @@ CASES: dict[str, Callable[[], Case]] = {
         holdout,
         environment,
         lights,
+        reflections,
         in_a_corner,
         among_balls_and_strands,
         inside,

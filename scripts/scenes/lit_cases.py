@@ -6,13 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.material.nodes.input_nodes import Constant
+from pointsplat_addon.core.material.nodes.normal_nodes import Tangent
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.world import World
 from scripts.scenes.build import materials, mesh, moved, points, scene, sun
 from scripts.scenes.cameras import camera
 from scripts.scenes.case import Case
 from scripts.scenes.clouds import sphere_cloud, sphere_points
-from scripts.scenes.meshes import cube_mesh, plane_mesh
+from scripts.scenes.meshes import cube_mesh, plane_mesh, sphere_mesh
 
 
 def emission() -> Case:
@@ -48,6 +51,39 @@ def environment() -> Case:
         ),
         camera(),
     )
+
+
+def reflections() -> Case:
+    """Spheres of all kinds of reflection below a sun and an area light.
+
+    Tinted metal, sheen, a toon, one that is cut out in part, a stretched highlight, and points with a rough diffuse surface.
+    """
+    f = np.float32
+    table = materials(
+        6,
+        base_color=[[0.7, 0.5, 0.3]] * 6,
+        metallic=[1, 0, 0, 0, 1, 0],
+        roughness=[0.4, 0.5, 0.5, 0.5, 0.5, 0.5],
+        tint=np.array([[0.2, 0.9, 0.4], *[[1, 1, 1]] * 5], f),
+        sheen=np.array([[0, 0, 0, 0.5], [1, 0.5, 0.2, 0.5], *[[0, 0, 0, 0.5]] * 4], f),
+        toon=np.array([[-1, -1], [-1, -1], [0.5, 0.3], *[[-1, -1]] * 3], f),
+        holdout=np.array([0, 0, 0, 0.4, 0, 0], f),
+        diffuse_roughness=np.array([0, 0, 0, 0.5, 0, 1], f),
+    )
+    tangent = Tangent(Constant((0.6,)), Constant((0.1,)))
+    table = replace(table, graphs=(*(None,) * 4, MaterialGraph(tangent=tangent), None))
+    things = []
+    for row in range(5):
+        ball = replace(sphere_mesh(f"reflecting {row}", 24), materials=(row,))
+        things.append((mesh(ball, "POLYGONS"), moved((row % 3 - 1.0, 0, 0.5 - row // 3), 0.4)))
+    count = 2000
+    cloud = replace(sphere_cloud(count), material=np.full(count, 5, np.uint16))
+    things.append((points("reflecting points", cloud), moved((1, 0, -0.5), 0.4)))
+    lamp = Light(
+        "RECTANGLE", np.full(3, 4.0), np.array([0.5, -2.0, 2.0]), np.array([0.0, 0.7, -0.7]),
+        axis_u=np.array([0.4, 0, 0]), axis_v=np.array([0, 0.3, 0.3]),
+    )  # fmt: skip
+    return Case(scene(*things, lights=(sun(), lamp), table=table, transparent=True), camera())
 
 
 def lights() -> Case:

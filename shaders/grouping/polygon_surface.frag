@@ -394,6 +394,9 @@ void main()
 #endif
   }
 #endif
+#ifdef PS_PLACED_TANGENT
+  s.tangent = texelFetch(ps_placed_tangent, leader.texel, 0);
+#endif
 #ifdef PS_OWNER
   s.owner = uint(about.y);
 #endif

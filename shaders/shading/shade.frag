@@ -135,6 +135,9 @@ void main()
   surface.roughness = bent.w;
   surface.metallic = tint.w;
 #endif
+#ifdef PS_TANGENT
+  ps_grain = texelFetch(ps_tangent, pixel, 0).xyz;
+#endif
 #ifdef PS_SPREAD
   surface.spread = centre.w <= PS_POLYGON ? max(centre.y, 0.0) : 0.0;
 #endif
@@ -166,6 +169,9 @@ void main()
   out_focus = covered * vec4(centre.x, 1.0, 0.0, 0.0);
 #endif
   out_combined = holdout ? vec4(0.0) : covered * vec4(ps_finite(radiance), 1.0);
+#ifdef PS_CUT_OUT
+  out_combined *= 1.0 - texelFetch(ps_materials, ivec2(9, material), 0).w;
+#endif
 #endif
 
 #ifdef PS_OUT_NORMAL

@@ -541,11 +541,11 @@ def principled(tree, **inputs):
 
 
 def test_layers_of_principled_surfaces_that_are_left_out_are_named():
-    lacquer = surface("lacquer", lambda t: principled(t, Subsurface_Weight=0.5, Sheen_Weight=0.2))
+    lacquer = surface("lacquer", lambda t: principled(t, Subsurface_Weight=0.5, Thin_Film_Thickness=300.0))
     table, warnings = convert_materials([lacquer])
     assert len(table) == 2
     assert warnings == [
-        'Material "lacquer": node "Principled BSDF" is drawn without its sheen and subsurface scattering'
+        'Material "lacquer": node "Principled BSDF" is drawn without its subsurface scattering and thin film'
     ]
 
 
@@ -590,6 +590,82 @@ def test_what_is_lit_from_behind_is_a_share_of_the_colour():
     np.testing.assert_allclose(table.backlit, expected, atol=1e-6)
     assert warnings == ['Material "in part": its translucency varies, and is lit from the front']
     assert convert_materials([surface("bare", principled)])[0].backlit is None
+
+
+def test_tints_roughness_and_sheen_are_columns_that_scenes_without_them_lack():
+    given = {"Specular_Tint": (1, 0.5, 0.25, 1), "Diffuse_Roughness": 0.5, "Sheen_Weight": 0.5, "Sheen_Roughness": 0.25,
+             "Sheen_Tint": (1, 0.5, 0, 1)}  # fmt: skip
+
+    def half(tree):
+        """With a black one, whose own parameters nobody sees."""
+        mixed = {
+            "Fac": 0.5,
+            "Shader": principled(tree, **given),
+            "Shader_001": output(node(tree, "ShaderNodeEmission")),
+        }
+        return output(node(tree, "ShaderNodeMixShader", mixed))
+
+    table, warnings = convert_materials([surface("all", lambda t: principled(t, **given)), surface("half", half)])
+    assert not warnings
+    np.testing.assert_allclose(table.tint, [[1, 1, 1], *[[1, 0.5, 0.25]] * 2])
+    np.testing.assert_allclose(table.diffuse_roughness, [0, 0.5, 0.5])
+    np.testing.assert_allclose(table.sheen, [[0, 0, 0, 0.5], [0.5, 0.25, 0, 0.25], [0.25, 0.125, 0, 0.25]])
+    bare = convert_materials([surface("bare", principled)])[0]
+    assert (bare.tint, bare.diffuse_roughness, bare.sheen, bare.toon, bare.holdout) == (None,) * 5
+    assert bare.graphs[1] is None
+
+
+def test_a_toon_is_a_column_and_so_is_a_holdout():
+    def cut(tree):
+        held = output(node(tree, "ShaderNodeHoldout"))
+        mixed = {"Fac": 0.25, "Shader": principled(tree, Base_Color=(0.2, 0.4, 0.6, 1)), "Shader_001": held}
+        return output(node(tree, "ShaderNodeMixShader", mixed))
+
+    toon = surface("toon", lambda t: output(node(t, "ShaderNodeBsdfToon", {"Size": 0.25, "Smooth": 0.75})))
+    table, warnings = convert_materials([toon, surface("cut", cut)])
+    assert not warnings
+    np.testing.assert_allclose(table.toon, [[-1, -1], [0.25, 0.75], [-1, -1]])
+    np.testing.assert_allclose(table.holdout, [0, 0, 0.25])
+    np.testing.assert_allclose(table.base_color[2], f32([0.2, 0.4, 0.6]))
+
+
+def test_a_conductor_reflects_what_its_indices_say():
+    """Gold at 1: ((n - 1)^2 + k^2) / ((n + 1)^2 + k^2)."""
+    n, k = np.array([0.18, 0.42, 1.37]), np.array([3.42, 2.35, 1.77])
+    gold = surface(
+        "gold",
+        lambda t: output(
+            node(t, "ShaderNodeBsdfMetallic", {"IOR": n, "Extinction": k}, fresnel_type="PHYSICAL_CONDUCTOR")
+        ),
+    )
+    table, warnings = convert_materials([gold])
+    assert not warnings
+    assert table.metallic[1] == 1
+    np.testing.assert_allclose(table.base_color[1], ((n - 1) ** 2 + k**2) / ((n + 1) ** 2 + k**2), rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("kind", "properties", "told"),
+    [
+        ("ShaderNodeBsdfToon", {"component": "GLOSSY"}, "is glossy; its viewport colour is shown"),
+        ("ShaderNodeBsdfRayPortal", {}, "is not supported; its viewport colour is shown"),
+        ("ShaderNodeBsdfSheen", {"distribution": "ASHIKHMIN"}, "is drawn with microfibers"),
+        ("ShaderNodeEeveeSpecular", {}, "is drawn as in EEVEE; Cycles has no such node, and draws it black"),
+    ],
+)
+def test_what_surfaces_are_not_is_told(kind, properties, told):
+    _, warnings = convert_materials([surface("odd", lambda t: output(node(t, kind, **properties)))])
+    assert len(warnings) == 1
+    assert warnings[0].startswith('Material "odd')
+    assert warnings[0].endswith(told)
+
+
+def test_a_stretched_reflection_is_a_graph_and_a_round_one_is_not():
+    stretched, plain = (surface("s", lambda t, a=a: principled(t, Anisotropic=a)) for a in (0.5, 0.0))
+    table, warnings = convert_materials([stretched, plain])
+    assert not warnings
+    assert set(table.graphs[1].channels) == {"tangent"}
+    assert table.graphs[2] is None
 
 
 def test_a_coat_that_varies_is_left_out_with_a_warning():
@@ -700,14 +776,14 @@ def test_evaluated_materials_carry_their_animation(atlas):
 
 
 def test_an_unknown_surface_shows_the_viewport_colour_with_one_warning():
-    cloth = surface("velvet", lambda t: output(node(t, "ShaderNodeBsdfSheen")))
+    cloth = surface("velvet", lambda t: output(node(t, "ShaderNodeSubsurfaceScattering")))
     cloth.diffuse_color, cloth.roughness, cloth.metallic = (0.3, 0.2, 0.1, 1), 0.9, 0.25
     table, warnings = convert_materials([cloth])
     np.testing.assert_array_equal(table.base_color[1], f32([0.3, 0.2, 0.1]))
     assert (table.roughness[1], table.metallic[1]) == (np.float32(0.9), np.float32(0.25))
     assert len(warnings) == 1
     assert "velvet" in warnings[0]
-    assert "Sheen BSDF" in warnings[0]
+    assert "Subsurface Scattering" in warnings[0]
 
 
 @pytest.mark.skipif(bpy.app.version >= (5, 0, 0), reason="Blender 5 has no materials without nodes")

@@ -93,3 +93,25 @@ def _mean_fresnel(eta: np.ndarray) -> np.ndarray:
     dense = (eta - 1) / (4.08567 + 1.00071 * eta)
     thin = 0.997118 + eta * (0.1014 - eta * (0.965241 + 0.130607 * eta))
     return np.clip(np.where(eta >= 1, dense, thin), 0, 1)
+
+
+def f82_of_conductor(index: np.ndarray, extinction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What a metal reflects at normal incidence, and its F82 tint (Kutz, Hasan and Edmondson 2021), (3,) float64 each.
+
+    index, extinction: (3,), of its complex index of refraction.
+    """
+    n2, k2 = np.square(np.asarray(index, float)), np.square(np.asarray(extinction, float))
+
+    def fresnel(cosine: float) -> np.ndarray:
+        """Unpolarised, (3,)."""
+        sine2 = 1 - cosine**2
+        t0 = n2 - k2 - sine2
+        both = np.sqrt(t0**2 + 4 * n2 * k2)
+        a = np.sqrt(np.maximum(0.5 * (both + t0), 0))
+        across = (both + cosine**2 - 2 * a * cosine) / (both + cosine**2 + 2 * a * cosine)
+        t3, t4 = cosine**2 * both + sine2**2, 2 * a * cosine * sine2
+        return 0.5 * across * (1 + (t3 - t4) / (t3 + t4))
+
+    straight = fresnel(1.0)
+    schlick = straight + (1 - straight) * (6 / 7) ** 5
+    return straight, fresnel(1 / 7) / schlick

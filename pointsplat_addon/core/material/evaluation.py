@@ -14,7 +14,7 @@ from .graph import MaterialGraph
 from .nodes.math_functions import normalize_rows
 
 CHANNELS: dict[str, tuple[int, float | None]] = {
-    # channel: (components, largest value); all but normals start at 0
+    # channel: (components, largest value); all but normals and tangents start at 0
     "base_color": (3, None),
     "roughness": (1, 1.0),
     "metallic": (1, 1.0),
@@ -22,6 +22,7 @@ CHANNELS: dict[str, tuple[int, float | None]] = {
     "emission": (3, None),
     "normal": (3, None),
     "transmission_color": (3, 1.0),
+    "tangent": (3, None),
 }
 SURFACE_COLUMNS = ("roughness", "metallic")  # of Appearance.surface
 
@@ -36,6 +37,7 @@ class Appearance:
     normal: np.ndarray | None = None  # (N, 3) float32, unit, object space
     alpha: np.ndarray | None = None  # (N,) float32
     transmission_color: np.ndarray | None = None  # (N, 3) float32
+    tangent: np.ndarray | None = None  # (N, 3) float32: MaterialGraph.tangent
 
 
 @record
@@ -83,6 +85,9 @@ def evaluate_materials(
         colors = constants.transmission_color
         out["transmission_color"] = np.ones((len(rows), 3), np.float32) if colors is None else colors[rows]
 
+    if "tangent" in channels:
+        out["tangent"] = np.zeros((len(rows), 3), np.float32)
+
     for row, graph in graphs.items():
         found = np.flatnonzero(rows == row)
         if len(found) == 0:
@@ -106,7 +111,7 @@ def _of_one_material(
         surface = np.empty((count, len(SURFACE_COLUMNS)), np.float32)
         for column, name in zip(surface.T, SURFACE_COLUMNS, strict=True):
             column[:] = values.get(name, getattr(constants, name)[row])
-    rest = (values.get(name) for name in ("emission", "normal", "alpha", "transmission_color"))
+    rest = (values.get(name) for name in ("emission", "normal", "alpha", "transmission_color", "tangent"))
     return Appearance(values.get("base_color"), surface, *rest)
 
 
@@ -125,7 +130,7 @@ def evaluate_samples(graph: MaterialGraph, inputs: SampleInputs) -> dict[str, np
             value = normalize_rows(value).astype(np.float32, copy=False)
             flat = ~value.any(axis=1)
             value[flat] = 0 if inputs.normal is None else inputs.normal[flat]
-        else:
+        elif name != "tangent":
             np.clip(value, 0, top, out=value)
         out[name] = value[:, 0] if components == 1 else value
     return out

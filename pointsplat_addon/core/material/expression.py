@@ -36,6 +36,9 @@ class SampleInputs:
     bitangent_sign: np.ndarray | None = None  # (N,), bitangent = sign * normal x tangent; None: 1
     # Values of the objects that the samples lie on, by name, (N, C), or (1, C) where one object holds all of them
     objects: dict[str, np.ndarray] = field(default_factory=dict)
+    backfacing: np.ndarray | None = (
+        None  # (N,) bool: the side is seen where the triangle's normal does not point; None: nowhere
+    )
     count: int | None = None  # N; None: the length of any array given
     # The inputs at the ends of two conjugate half-diameters of each sample's splat: images are filtered that wide
     displaced: tuple[SampleInputs, SampleInputs] | None = None
@@ -43,12 +46,13 @@ class SampleInputs:
     # change along them
     moved: tuple[SampleInputs, SampleInputs] | None = None
     steps: np.ndarray | None = None
+    unit: np.ndarray | None = None  # (N, 1): how long of these ways a unit of object space is; None: 1
     # (width, height) of an image whose texel centres every UV map holds, row by row, from the texel `first` on:
     # images of that size are then read and not interpolated
     grid: tuple[int, int] | None = None
     first: int = 0
 
-    ARRAYS = ("position", "generated", "normal", "tangent", "bitangent_sign")
+    ARRAYS = ("position", "generated", "normal", "tangent", "bitangent_sign", "backfacing")
 
     def __len__(self) -> int:
         """N. Raises ValueError when neither `count` nor any array is given."""
@@ -76,6 +80,7 @@ class SampleInputs:
             displaced=_take(self.displaced, part),
             moved=_take(self.moved, part),
             steps=None if self.steps is None else self.steps[:, part],
+            unit=None if self.unit is None else self.unit[part],
             grid=grid,
             first=first,
             **single,

@@ -10,8 +10,8 @@ import numpy as np
 
 from ..numeric.record import record, value_record
 from .expression import Expression, walk
-from .nodes.input_nodes import UV, Attribute, ColorAttribute, Constant, Coordinates, ObjectValue
-from .nodes.normal_nodes import Bump, NormalMap
+from .nodes.input_nodes import UV, Attribute, Backfacing, ColorAttribute, Constant, Coordinates, ObjectValue
+from .nodes.normal_nodes import Bump, NormalMap, Tangent
 from .nodes.texture_nodes import ImageTexture
 
 
@@ -26,6 +26,7 @@ class MaterialGraph:
     emission: Expression | None = None  # (N, 3) colour times strength
     normal: Expression | None = None  # (N, 3) unit, object space
     transmission_color: Expression | None = None  # (N, 3)
+    tangent: Expression | None = None  # (N, 3) object space, as long as `stretch`: see normal_nodes.Tangent
 
     @property
     def channels(self) -> dict[str, Expression]:
@@ -53,6 +54,7 @@ class Needs:
     heights: bool = False  # whether it is read how heights change
     images: bool = False  # whether images are mapped by any of these
     objects: frozenset[str] = frozenset()  # values of the object
+    backfacing: bool = False
 
 
 def needs(graph: MaterialGraph) -> Needs:
@@ -62,16 +64,19 @@ def needs(graph: MaterialGraph) -> Needs:
     coordinates = {n.kind for n in nodes if isinstance(n, Coordinates)}
     normal_maps = [n for n in nodes if isinstance(n, NormalMap)]
     tangents = {n.uv.name for n in normal_maps if n.uv is not None}
+    grains = [n for n in nodes if isinstance(n, Tangent)]
+    tangents |= {n.uv.name for n in grains if n.uv is not None}
     return Needs(
         uv=frozenset({n.name for n in nodes if isinstance(n, UV)} | attributes | tangents),
         colors=frozenset({n.name for n in nodes if isinstance(n, ColorAttribute)} | attributes),
         position="position" in coordinates,
-        generated="generated" in coordinates,
-        normal="normal" in coordinates or bool(normal_maps),
+        generated="generated" in coordinates or any(n.uv is None for n in grains),
+        normal="normal" in coordinates or bool(normal_maps or grains),
         heights=any(isinstance(n, Bump) for n in nodes),
         tangent=frozenset(tangents),
         images=any(isinstance(n, ImageTexture) and n.uv.varies for n in nodes),
         objects=frozenset(n.name for n in nodes if isinstance(n, ObjectValue)),
+        backfacing=any(isinstance(n, Backfacing) for n in nodes),
     )
 
 

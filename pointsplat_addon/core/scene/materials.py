@@ -64,6 +64,14 @@ class MaterialTable:
     coat: CoatTable | None = None  # None: nothing is coated
     # (M, 3) float32, 0 to 1: the share of the diffuse light that comes from behind the surface; None: none of it
     backlit: np.ndarray | None = None
+    # (M, 3) float32 of the specular reflection: dielectrics' at normal incidence; metals' at 82 degrees, over what
+    # Schlick's curve has there (F82 tint); None: all 1
+    tint: np.ndarray | None = None
+    diffuse_roughness: np.ndarray | None = None  # (M,) float32, 0 to 1, of Oren and Nayar's model; None: all 0
+    sheen: np.ndarray | None = None  # (M, 4) float32, 0 to 1: colour times weight, roughness; None: no sheen
+    # (M, 2) float32: size and smoothness of materials whose diffuse light is the Toon BSDF's, else -1; None: none is
+    toon: np.ndarray | None = None
+    holdout: np.ndarray | None = None  # (M,) float32, 0 to 1: the share that is cut out of pictures; None: all 0
 
     def __len__(self) -> int:
         return len(self.roughness)

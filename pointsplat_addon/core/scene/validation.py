@@ -71,6 +71,11 @@ RULES: dict[type, dict[str, Rule]] = {
         "alpha": Rule(CLAMP, 0, 1),
         "transmission_color": Rule(CLAMP, 0, 1),
         "backlit": Rule(CLAMP, 0, 1),
+        "tint": Rule(CLAMP, 0, BRIGHTEST),
+        "diffuse_roughness": Rule(CLAMP, 0, 1),
+        "sheen": Rule(CLAMP, 0, 1),
+        "toon": Rule(CLAMP, -1, 1),
+        "holdout": Rule(CLAMP, 0, 1),
         "anisotropy": Rule(CLAMP, -1, 1),
     },
     HairTable: {

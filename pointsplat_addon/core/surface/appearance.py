@@ -235,9 +235,13 @@ def interpolates(graph: MaterialGraph) -> bool:
     """Whether what a graph varies is, within a triangle, what its values at the corners interpolate to; alpha apart."""
     linear = UV, Attribute, ColorAttribute, Constant, Coordinates, Color, Component
     channels = {name: output for name, output in graph.channels.items() if name != "alpha"}
-    return graph.normal is None and all(
-        isinstance(node, linear) and not (isinstance(node, Coordinates) and node.kind == "normal")
-        for node in walk(*channels.values())
+    return (
+        graph.normal is None
+        and graph.tangent is None
+        and all(
+            isinstance(node, linear) and not (isinstance(node, Coordinates) and node.kind == "normal")
+            for node in walk(*channels.values())
+        )
     )
 
 
@@ -310,7 +314,7 @@ def _evaluate(
         found = _inputs(mesh, graph, _subset(samples, part), position[part], normal[part], wide)
         if scale is None or found.steps is None:
             return found
-        return replace(found, steps=found.steps * scale[part, None])
+        return replace(found, steps=found.steps * scale[part, None], unit=scale[part, None])
 
     return evaluate_materials(rows, graphs, inputs, table, normal)
 
@@ -318,9 +322,9 @@ def _evaluate(
 def _subset(samples: Samples, part: Part) -> Samples:
     ellipse = None if samples.ellipse is None else samples.ellipse[part]
     owner = None if samples.object is None else samples.object[part]
-    return replace(
-        samples, triangle=samples.triangle[part], barycentric=samples.barycentric[part], ellipse=ellipse, object=owner
-    )
+    back = None if samples.backfacing is None else samples.backfacing[part]
+    triangle, barycentric = samples.triangle[part], samples.barycentric[part]
+    return Samples(samples.method, triangle, barycentric, ellipse, owner, back)
 
 
 def _inputs(
@@ -351,6 +355,7 @@ def _inputs(
         tangent=tangent,
         bitangent_sign=sign,
         objects={name: _of_objects(mesh, samples, name) for name in wanted.objects & mesh.objects.keys()},
+        backfacing=samples.backfacing if wanted.backfacing else None,
         count=len(samples),
     )
     wide = wide and wanted.images

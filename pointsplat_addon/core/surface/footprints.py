@@ -11,7 +11,7 @@ from ..material.evaluation import Appearance
 from ..material.expression import walk
 from ..material.graph import MaterialGraph
 from ..material.nodes.color_nodes import Color, Combine, Component, Gray, Mix
-from ..material.nodes.input_nodes import Constant, ObjectValue, Source
+from ..material.nodes.input_nodes import Backfacing, Constant, ObjectValue, Source
 from ..material.nodes.math_nodes import Mapping, Math
 from ..material.nodes.texture_nodes import ImageTexture
 from ..scene.materials import MaterialTable
@@ -100,9 +100,9 @@ def over_footprints(
 
 
 def _varies_within_object(graph: MaterialGraph) -> bool:
-    """Whether anything but values of the object varies it."""
+    """Whether anything but values of the object, and the side of it that is seen, varies it."""
     nodes = walk(*graph.channels.values())
-    return any(isinstance(node, Source) and not isinstance(node, ObjectValue) for node in nodes)
+    return any(isinstance(node, Source) and not isinstance(node, ObjectValue | Backfacing) for node in nodes)
 
 
 def _only_images(graph: MaterialGraph) -> bool:
@@ -110,7 +110,9 @@ def _only_images(graph: MaterialGraph) -> bool:
     even = ImageTexture, Source, Constant, Color, Component, Gray, Combine, Mix, Mapping, Math
     nodes = list(walk(*graph.channels.values()))
     jumps = any(isinstance(node, Math) and node.operation not in EVEN for node in nodes)
-    return graph.normal is None and not jumps and all(isinstance(node, even) for node in nodes)
+    return (
+        graph.normal is None and graph.tangent is None and not jumps and all(isinstance(node, even) for node in nodes)
+    )
 
 
 def through_at(
@@ -131,7 +133,7 @@ def _means(look: Look) -> Look:
     weight = through[..., 3:] + np.float32(1e-6)
     weight /= weight.sum(axis=0)
     return {
-        name: values.mean(axis=0) if name in (THROUGH, "normal") else (weight * values).sum(axis=0)
+        name: values.mean(axis=0) if name in (THROUGH, "normal", "tangent") else (weight * values).sum(axis=0)
         for name, values in look.items()
     }
 
@@ -156,9 +158,10 @@ def _at(
         (samples.barycentric + moved).reshape(-1, 2).astype(np.float32),
         np.tile(np.float32(share) * samples.ellipse, (len(places), 1, 1)),
         None if samples.object is None else np.tile(samples.object, len(places)),
+        None if samples.backfacing is None else np.tile(samples.backfacing, len(places)),
     )
     look = at_places(mesh, whole, graphs, table, np.tile(scale, len(places)))
-    named = {name: getattr(look, name) for name in ("color", "surface", "emission", "normal")}
+    named = {name: getattr(look, name) for name in ("color", "surface", "emission", "normal", "tangent")}
     if translucent:
         named[THROUGH] = _through(look, material_ids(mesh, whole), table)
     return {n: a.reshape(len(places), len(samples), -1) for n, a in named.items() if a is not None}

@@ -21,13 +21,16 @@ class Samples:
     ellipse: np.ndarray | None = None
 
     object: np.ndarray | None = None  # (N,) integers, rows of Mesh.objects; None: all lie on the first
+    backfacing: np.ndarray | None = (
+        None  # (N,) bool: seen from where the triangle's normal does not point; None: nowhere
+    )
 
     def __len__(self) -> int:
         return len(self.triangle)
 
     @property
     def nbytes(self) -> int:
-        arrays = (self.triangle, self.barycentric, self.ellipse, self.object)
+        arrays = (self.triangle, self.barycentric, self.ellipse, self.object, self.backfacing)
         return sum(a.nbytes for a in arrays if a is not None)
 
 
@@ -81,4 +84,5 @@ def take_samples(samples: Samples, rows: np.ndarray) -> Samples:
     """Returns the samples that `rows` names, in that order."""
     ellipse = None if samples.ellipse is None else samples.ellipse.take(rows, axis=0)
     owner = None if samples.object is None else samples.object[rows]
-    return Samples(samples.method, samples.triangle[rows], samples.barycentric.take(rows, axis=0), ellipse, owner)
+    back = None if samples.backfacing is None else samples.backfacing[rows]
+    return Samples(samples.method, samples.triangle[rows], samples.barycentric.take(rows, axis=0), ellipse, owner, back)

@@ -17,6 +17,7 @@ class Variant:
     owner: bool = False  # a pass asks which instance a pixel shows
     velocity: bool = False  # a pass asks how points move, and some do; it rides with owner, which this implies
     wide: bool = False  # more materials than half floats count
+    tangent: bool = False  # the GGX lobe is stretched somewhere
     spread: bool = False  # groups of sub-samples keep the spread of their normals, in the centre's second channel
     front: bool = True  # a pyramid asks for the depth of the near end
 
@@ -25,7 +26,7 @@ class Variant:
         named = {
             "PS_NORMAL": self.normal, "PS_COLOR": self.color, "PS_SURFACE": self.surface,
             "PS_EMISSION": self.emission, "PS_OWNER": self.owner, "PS_VELOCITY": self.velocity,
-            "PS_SPREAD": self.spread,
+            "PS_SPREAD": self.spread, "PS_TANGENT": self.tangent,
         }  # fmt: skip
         return tuple(name for name, on in named.items() if on)
 
@@ -42,6 +43,8 @@ class Variant:
             found.append(("color", "RGBA16F", "vec4"))
         if self.emission:
             found.append(("emission", "RGBA16F", "vec4"))
+        if self.tangent:
+            found.append(("tangent", "RGBA16F", "vec4"))
         if self.owner:
             found.append(("owner", "RGBA32F", "vec4") if self.velocity else ("owner", "R32UI", "uint"))
         return tuple(found)

@@ -78,6 +78,7 @@ class _Attributes:
     color: bool
     surface: bool  # roughness and metallic
     emission: bool
+    tangent: bool  # the direction of a stretched lobe
 
 
 def make_plan(view: ViewToPlan) -> Plan:
@@ -199,6 +200,7 @@ def _attributes(view: ViewToPlan, kinds: _Kinds) -> _Attributes:
         color=surface or any(c.color is not None for c in clouds) or bool(channels & {"base_color", "alpha"}),
         surface=surface,
         emission=view.picture and (any(c.emission is not None for c in clouds) or "emission" in channels),
+        tangent=view.picture and view.sub_samples > 0 and view.reflects and "tangent" in channels,
     )
 
 
@@ -223,6 +225,7 @@ def _variants(view: ViewToPlan, kinds: _Kinds, attributes: _Attributes, normals:
         attributes.emission,
         wide=wide,
         front=pyramid and not view.painter,
+        tangent=normals and attributes.tangent,
     )
     if view.painter:
         data_variant = replace(variant, normal=True, emission=False, owner=owner, velocity=velocity, front=pyramid)
@@ -258,8 +261,8 @@ def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
         coats = () if table.coat is None else table.coat.roughness
         smoothest = 0.0 if varies else float(np.min([table.roughness.min(), *coats]))
         found = (*_world(scene.world), *light_names(scene.lights, smoothest))
-        if not found and table.coat is not None and (table.emission > 0).any():
-            found = ("PS_HAS_WORLD",)  # a black one: coats dim what shines below them
+        if not found and not (table.coat is None and table.sheen is None) and (table.emission > 0).any():
+            found = ("PS_HAS_WORLD",)  # a black one: coats and fibres dim what shines below them
     return found + (() if view.shadows is None else _shadows(view.shadows))
 
 
@@ -323,8 +326,14 @@ def _materials(scene: Scene, varies: bool) -> tuple[str, ...]:
         "PS_HAS_GLOW": bool((table.emission > 0).any()),
         "PS_COAT": table.coat is not None,
         "PS_BACKLIT": table.backlit is not None,
+        "PS_TINTED": table.tint is not None,
+        "PS_ROUGH_DIFFUSE": table.diffuse_roughness is not None,
+        "PS_SHEEN": table.sheen is not None,
+        "PS_TOON": table.toon is not None,
+        "PS_CUT_OUT": table.holdout is not None,
         "PS_ONE_SURFACE": not metal
         and table.coat is None
+        and table.tint is None
         and all(bool((values == values[0]).all()) for values in (table.roughness, table.ior, table.specular)),
     }
     return tuple(name for name, needed in found.items() if needed)

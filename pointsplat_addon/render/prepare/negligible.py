@@ -108,6 +108,8 @@ def reflection(scene: Scene, prepared: Prepared, store: Store) -> Reflection:
     rows, albedo, smooth = _used_materials(scene, prepared, store)
     known = np.array(sorted(rows), int)
     colors = max(albedo, float(table.base_color[known].max(initial=0.0)))
+    shaped = any(column is not None for column in (table.diffuse_roughness, table.sheen, table.toon))
+    colors = np.inf if shaped else colors  # at grazing angles
     metal = smooth or bool((table.metallic[known] > 0).any())
     smoothest = float(table.roughness[known].min(initial=1.0))
     coats = np.zeros(0) if table.coat is None else table.coat.roughness[known][table.coat.weight[known] > 0]

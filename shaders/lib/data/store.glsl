@@ -17,6 +17,9 @@ void ps_store(PsSurfel s)
 #ifdef PS_EMISSION
   out_emission = clamp(s.emission, -PS_BRIGHTEST, PS_BRIGHTEST);
 #endif
+#ifdef PS_TANGENT
+  out_tangent = s.tangent;
+#endif
 #if defined(PS_VELOCITY)
   out_owner = vec4(int(s.owner), s.velocity);
 #elif defined(PS_OWNER)

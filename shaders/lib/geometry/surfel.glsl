@@ -9,6 +9,7 @@
 //   normal  in view space, of the side of the surface's plane that is seen (it may point away from the eye where it is not
 //           the plane's), (0, 0, 0) for a ball; roughness
 //   color   base colour, metallic
+//   tangent  in view space, along which the GGX lobe is stretched: core/material/nodes/normal_nodes.py
 // PS_NORMAL: something shines, or a pass asks. PS_COLOR: colours come with the points; else the material table has
 // them; so do PS_SURFACE roughness and metallic, and PS_EMISSION. PS_OWNER: which instance, for passes that ask.
 // PS_VELOCITY: how far the point moves in a frame, in view space, in one texture with its instance (-1: none).
@@ -26,6 +27,9 @@ struct PsSurfel {
 #endif
 #ifdef PS_EMISSION
   vec4 emission;
+#endif
+#ifdef PS_TANGENT
+  vec4 tangent;
 #endif
 #ifdef PS_OWNER
   uint owner;
@@ -50,6 +54,9 @@ PsSurfel ps_empty()
 #endif
 #ifdef PS_EMISSION
   s.emission = vec4(0.0);
+#endif
+#ifdef PS_TANGENT
+  s.tangent = vec4(0.0);
 #endif
 #ifdef PS_OWNER
   s.owner = 0xFFFFFFFFu;

@@ -34,6 +34,12 @@ float ps_rectangle_share(vec2 at, vec2 width)
 vec3 ps_lambertian_half(vec3 to_point, PsLobes lobes)
 {
   vec3 half_vector = to_point * inversesqrt(max(dot(to_point, to_point), 1e-20)) + lobes.to_eye;
+#ifdef PS_TANGENT
+  // Alphas along and across the grain are as one, and that of the normal its mean.
+  half_vector += dot(half_vector, lobes.grain) * (1.0 / lobes.stretch - 1.0) * lobes.grain;
+  vec3 across = cross(lobes.reflecting, lobes.grain);
+  half_vector += dot(half_vector, across) * (lobes.stretch - 1.0) * across;
+#endif
   return half_vector - (1.0 - lobes.alpha) * dot(half_vector, lobes.reflecting) * lobes.reflecting;
 }
 
@@ -117,6 +123,53 @@ vec3 ps_area_specular(PsArea area, int count, bool ellipse, float a2, PsLobes lo
   return sum / weights;
 }
 
+#ifdef PS_TANGENT
+#define PS_FINE_SIDE 8  // points along each side of the light
+#define PS_FINE_BLUR 0.004  // as PS_BLUR, of one of them
+
+// As ps_area_specular, by so many points that a lobe which is narrow in one direction does not pass between them.
+vec3 ps_area_stretched(PsArea area, int count, bool ellipse, float sigma, PsLobes lobes)
+{
+  float weights = 0.0, a2 = min(lobes.alpha * lobes.alpha + PS_FINE_BLUR * sigma * sigma, 1.0);
+  vec3 sum = vec3(0.0);
+  for (int i = 0; i < count; i++) {
+    vec2 at = (vec2(i % PS_FINE_SIDE, i / PS_FINE_SIDE) + 0.5) * (2.0 / float(PS_FINE_SIDE)) - 1.0;
+    float chord = ellipse ? sqrt(1.0 - at.x * at.x) : 1.0;
+    vec3 to_point = area.offset + at.x * area.axis_u + chord * at.y * area.axis_v;
+    float inverse = inversesqrt(max(dot(to_point, to_point), 1e-20));
+    float weight = chord * inverse * inverse * inverse;
+    vec3 direction = to_point * inverse;
+    sum += weight * ps_beam(area, -dot(direction, area.direction)) * ps_specular(lobes, direction, a2);
+    weights += weight;
+  }
+  return sum / max(weights, 1e-30);
+}
+#endif
+
+#ifdef PS_DIFFUSE_LOBES
+
+// Mean of the diffuse lobes' BSDF over the light, times pi, by the same points, which weigh with their irradiance.
+vec3 ps_area_shaped(PsArea area, bool ellipse, PsLobes lobes)
+{
+  vec2 azimuth = vec2(0.0);
+  float weights = 0.0;
+  vec3 sum = vec3(0.0);
+  for (int i = 0; i < 7; i++) {
+    vec3 point = ellipse ? vec3(PS_DISK_RADIUS * azimuth, i == 0 ? 0.25 : 0.125) : ps_square_point(azimuth);
+    vec3 to_point = area.offset + point.x * area.axis_u + point.y * area.axis_v;
+    float inverse = inversesqrt(max(dot(to_point, to_point), 1e-20));
+    vec3 direction = to_point * inverse;
+    float weight = point.z * inverse * inverse * inverse * ps_beam(area, -dot(direction, area.direction));
+    weight *= max(dot(direction, lobes.normal), 1e-6);
+    sum += weight * ps_shaped(lobes, direction);
+    weights += weight;
+    azimuth = ps_next_azimuth(azimuth);
+  }
+  return sum / max(weights, 1e-30);
+}
+
+#endif
+
 // `ellipse` is a constant where this is called.
 vec3 ps_area_light(int index, bool ellipse, vec3 position, PsLobes lobes)
 {
@@ -133,10 +186,24 @@ vec3 ps_area_light(int index, bool ellipse, vec3 position, PsLobes lobes)
   float solid_angle = ps_rectangle_solid_angle(area) * (ellipse ? PS_PI / 4.0 : 1.0);
   float sigma = sqrt(solid_angle / PS_PI);
   float narrow = smoothstep(PS_AREA_NARROW_LOW, PS_AREA_NARROW_HIGH, sigma / (sqrt(2.0) * lobes.alpha));
+#ifdef PS_TANGENT
+  bool fine = lobes.stretch > 1.0;
+  float least = lobes.alpha / lobes.stretch * float(PS_FINE_SIDE) * 0.5;
+  narrow = fine ? smoothstep(PS_AREA_NARROW_LOW, PS_AREA_NARROW_HIGH, sigma / (sqrt(2.0) * least)) : narrow;
+#endif
   int count = ps_is_small(lobes, sigma) || narrow == 1.0 ? 1 : 7;
   vec3 wide = solid_angle * ps_area_specular(area, count, ellipse, ps_widened_alpha2(lobes, sigma), lobes);
+#ifdef PS_TANGENT
+  vec3 stretched = ps_area_stretched(area, fine ? PS_FINE_SIDE * PS_FINE_SIDE : 0, ellipse, sigma, lobes);
+  wide = fine ? solid_angle * stretched : wide;
+#endif
   vec3 specular = mix(wide, ps_narrow_specular(area, height, ellipse, lobes), narrow);
-  vec3 reflected = ps_reflected(PsReceived(irradiance, specular), lobes, color, light_position.w);
+#ifdef PS_DIFFUSE_LOBES
+  PsReceived received = PsReceived(irradiance, specular, ps_area_shaped(area, ellipse, lobes));
+#else
+  PsReceived received = PsReceived(irradiance, specular);
+#endif
+  vec3 reflected = ps_reflected(received, lobes, color, light_position.w);
   // Half a sphere of light comes to what lies in front of it, nothing to what lies in its plane, but for rounding.
   vec3 apart = light_position.xyz - position;
   float rounding = 1e-6 * (length(position) + length(light_position.xyz));

@@ -1,9 +1,22 @@
-// The Principled BSDF without sheen, transmission and subsurface: GGX with multiple scattering over Lambert, and PS_COAT, a
-// clear layer above both. PS_BACKLIT: a share of the Lambert base is lit from the other side.
+// The Principled BSDF without transmission and subsurface: GGX with multiple scattering over Lambert, and PS_COAT, a
+// clear layer above both. PS_BACKLIT: a share of the Lambert base is lit from the other side. PS_TINTED: the GGX lobe has a
+// tint. PS_ROUGH_DIFFUSE, PS_TOON: the base may be other than Lambert's. PS_SHEEN: fibres above all: diffuse_lobes.glsl.
 // Reference and sources: core/light/bsdf.py. Reads ps_lights (rows 0 .. PS_TABLE_ROWS: the reflectance table).
 // PS_HAS_METAL: something is metallic. PS_ONE_SURFACE: nothing is, and roughness and eta are those of the whole scene.
 
 #include "lib/light/terms.glsl"
+
+#if defined(PS_ROUGH_DIFFUSE) || defined(PS_SHEEN) || defined(PS_TOON)
+#define PS_DIFFUSE_LOBES  // the diffuse lobe may be another than Lambert's
+#endif
+#if defined(PS_COAT) || defined(PS_SHEEN)
+#define PS_LAYERED
+#endif
+#ifdef PS_TINTED
+#define PS_DIELECTRIC vec3
+#else
+#define PS_DIELECTRIC float
+#endif
 
 #define PS_PI 3.14159265358979
 #define PS_TABLE_WIDTH 32
@@ -34,6 +47,22 @@ struct PsCoat {
 PsCoat ps_coat;  // of the surface that ps_material read last
 #endif
 
+#ifdef PS_TINTED
+vec3 ps_tint;  // of the surface that ps_material read last: what dielectrics reflect at normal incidence, and metals at 82 degrees
+#endif
+#ifdef PS_ROUGH_DIFFUSE
+float ps_diffuse_roughness;
+#endif
+#ifdef PS_SHEEN
+vec4 ps_sheen;  // colour and roughness
+#endif
+#ifdef PS_TANGENT
+vec3 ps_grain;  // along which the GGX lobe of the surface is stretched; as long as 1 - 1 / how much
+#endif
+#ifdef PS_TOON
+vec3 ps_toon;  // size and smoothness; whether it is one
+#endif
+
 #if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT) || defined(PS_INDIRECT)
 
 // What the BSDF needs of a surface seen from one direction.
@@ -45,9 +74,32 @@ struct PsLobes {
   vec3 reflectance;  // of uniform light, by the GGX lobe
   vec3 metal_f0;
   vec3 metal_scale;
-  float dielectric_scale;
-#ifdef PS_COAT
-  vec3 below;  // what a coat leaves of the lobe
+  PS_DIELECTRIC dielectric_scale;
+#ifdef PS_TINTED
+  vec3 dielectric_f0;
+  vec3 metal_dip;  // below Schlick's curve, by Kutz et al. 2021
+#endif
+#ifdef PS_DIFFUSE_LOBES
+  vec3 even;  // of uniform light, by diffuse lobes
+#endif
+#ifdef PS_ROUGH_DIFFUSE
+  float rough;
+  vec3 again;  // what of light that was scattered more than once does not depend on where it comes from
+#endif
+#ifdef PS_TOON
+  vec3 toon;
+#endif
+#ifdef PS_SHEEN
+  vec3 fibres;  // what they reflect of uniform light
+  vec2 bend;  // of the lobe, which is a cosine's, linearly transformed
+#endif
+#ifdef PS_TANGENT
+  vec3 grain;  // unit, across `reflecting`; 0: the lobe is round
+  float stretch;  // alpha along the grain over the mean one
+  float own2;  // alpha squared of the material, its mean
+#endif
+#ifdef PS_LAYERED
+  vec3 below;  // what layers above leave of the lobe
 #endif
   float eta;
   float roughness;
@@ -78,6 +130,11 @@ float ps_mean_fresnel(float eta)
   float dense = (eta - 1.0) / (4.08567 + 1.00071 * eta);
   float thin = 0.997118 + eta * (0.1014 - eta * (0.965241 + 0.130607 * eta));
   return clamp(eta >= 1.0 ? dense : thin, 0.0, 1.0);
+}
+
+float ps_most(vec3 color)
+{
+  return max(color.r, max(color.g, color.b));
 }
 
 vec4 ps_table_row(int row, float cosine)
@@ -118,6 +175,19 @@ vec3 ps_reflecting_normal(vec3 normal, vec3 plane, vec3 to_eye)
   return sqrt(1.0 - z2) * across + sqrt(z2) * plane;
 }
 
+#ifdef PS_DIFFUSE_LOBES
+#include "lib/light/diffuse_lobes.glsl"
+#endif
+
+#ifdef PS_TINTED
+// By how much less metals reflect than Schlick's curve, at 82 degrees `tint` times as much.
+vec3 ps_metal_dip(vec3 f0, vec3 tint)
+{
+  const float f = 6.0 / 7.0, f5 = f * f * f * f * f;
+  return mix(f0, vec3(1.0), f5) * (7.0 / (f5 * f)) * (1.0 - tint);
+}
+#endif
+
 PsLobes ps_lobes(PsSurface surface, vec3 normal, vec3 plane, vec3 to_eye)
 {
   PsLobes lobes;
@@ -146,11 +216,30 @@ PsLobes ps_lobes(PsSurface surface, vec3 normal, vec3 plane, vec3 to_eye)
   // Single scattering from the table, multiple over single scattering as a factor.
   vec4 table = ps_reflectance_table(lobes.cos_eye, lobes.roughness);
   float missing = (1.0 - table.x) / table.x;
+#ifdef PS_TINTED
+  lobes.dielectric_f0 = f0 * ps_tint;
+  float rise = (ps_mean_fresnel(surface.eta) - f0) / (1.0 - f0);
+  vec3 dielectric_mean = mix(lobes.dielectric_f0, vec3(1.0), max(rise, 0.0));
+#else
   float dielectric_mean = ps_mean_fresnel(surface.eta);
+#endif
   lobes.dielectric_scale = 1.0 + missing * dielectric_mean * table.w / (1.0 - dielectric_mean * (1.0 - table.w));
+#ifdef PS_TINTED
+  vec3 reflected = mix(lobes.dielectric_f0, vec3(1.0), table.z) * table.x * lobes.dielectric_scale;
+  reflected = surface.eta == 1.0 ? vec3(0.0) : reflected;
+  lobes.dielectric_scale = surface.eta == 1.0 ? vec3(0.0) : lobes.dielectric_scale;
+#else
   float reflected = surface.eta == 1.0 ? 0.0 : mix(f0, 1.0, table.z) * table.x * lobes.dielectric_scale;
 #endif
+#endif
   lobes.alpha = max(lobes.roughness * lobes.roughness, PS_MIN_ALPHA);
+#ifdef PS_TANGENT
+  vec3 grain = ps_grain - dot(ps_grain, lobes.reflecting) * lobes.reflecting;
+  float grain2 = dot(grain, grain);
+  lobes.grain = grain2 > 1e-8 ? grain * inversesqrt(grain2) : vec3(0.0);
+  lobes.stretch = grain2 > 1e-8 ? 1.0 / (1.0 - min(length(ps_grain), 0.99)) : 1.0;
+  lobes.own2 = lobes.alpha * lobes.alpha;
+#endif
 #ifdef PS_SPREAD
   // Squares of alpha are twice the variance of slopes along one direction.
   lobes.spread = surface.spread;
@@ -159,20 +248,42 @@ PsLobes ps_lobes(PsSurface surface, vec3 normal, vec3 plane, vec3 to_eye)
   lobes.roughness = sqrt(lobes.alpha);
 #endif
   lobes.reflectance = vec3(reflected);
-  lobes.diffuse = max(surface.base, 0.0) * (1.0 - min(reflected, 1.0));
+  lobes.diffuse = max(surface.base, 0.0) * (1.0 - min(ps_most(lobes.reflectance), 1.0));
 #ifdef PS_HAS_METAL
   float metallic = clamp(surface.metallic, 0.0, 1.0);
   lobes.metal_f0 = clamp(surface.base, 0.0, 1.0);
   vec3 metal_mean = lobes.metal_f0 + (1.0 - lobes.metal_f0) / 21.0;
+#ifdef PS_TINTED
+  lobes.metal_dip = ps_metal_dip(lobes.metal_f0, ps_tint);
+  metal_mean -= lobes.metal_dip / 126.0;
+#endif
   lobes.metal_scale = metallic * (1.0 + missing * metal_mean * table.w / (1.0 - metal_mean * (1.0 - table.w)));
   vec3 metal_reflected = mix(lobes.metal_f0, vec3(1.0), table.y) * table.x;
+#ifdef PS_TINTED
+  float grazing = pow(table.y, 0.2);
+  metal_reflected = max(metal_reflected - lobes.metal_dip * (1.0 - grazing) * table.y * grazing * table.x, 0.0);
+#endif
   lobes.reflectance = (1.0 - metallic) * lobes.reflectance + lobes.metal_scale * metal_reflected;
   lobes.dielectric_scale *= 1.0 - metallic;
   lobes.diffuse *= 1.0 - metallic;
 #endif
   lobes.reflectance *= facing > 0.0 ? 1.0 : 0.0;
-#ifdef PS_COAT
+#ifdef PS_LAYERED
   lobes.below = vec3(1.0);
+#endif
+#ifdef PS_DIFFUSE_LOBES
+  lobes.even = lobes.diffuse;
+#endif
+#ifdef PS_ROUGH_DIFFUSE
+  lobes.rough = 0.0;
+  lobes.again = vec3(0.0);
+#endif
+#ifdef PS_TOON
+  lobes.toon = vec3(0.0);
+#endif
+#ifdef PS_SHEEN
+  lobes.fibres = vec3(0.0);
+  lobes.bend = vec2(1.0, 0.0);
 #endif
   return lobes;
 }
@@ -187,7 +298,13 @@ void ps_keep_term(inout PsLobes lobes)
 #endif
 #ifndef PS_SHOWS_GLOSSY
   lobes.reflectance = lobes.metal_scale = vec3(0.0);
-  lobes.dielectric_scale = 0.0;
+  lobes.dielectric_scale = PS_DIELECTRIC(0.0);
+#endif
+#if defined(PS_DIFFUSE_LOBES) && !defined(PS_SHOWS_DIFFUSE)
+  lobes.even = vec3(0.0);
+#ifdef PS_SHEEN
+  lobes.fibres = vec3(0.0);
+#endif
 #endif
 }
 
@@ -204,7 +321,20 @@ void ps_divide_diffuse(inout PsLobes lobes)
   ps_behind_lobes.normal = -lobes.normal;
   ps_behind_lobes.diffuse *= ps_backlit;
   ps_behind_lobes.reflectance = ps_behind_lobes.metal_scale = vec3(0.0);
-  ps_behind_lobes.dielectric_scale = 0.0;
+  ps_behind_lobes.dielectric_scale = PS_DIELECTRIC(0.0);
+#ifdef PS_DIFFUSE_LOBES
+  ps_behind_lobes.even = ps_behind_lobes.diffuse;
+  lobes.even -= lobes.diffuse * ps_backlit;
+#endif
+#ifdef PS_ROUGH_DIFFUSE
+  ps_behind_lobes.rough = 0.0;
+#endif
+#ifdef PS_TOON
+  ps_behind_lobes.toon = vec3(0.0);
+#endif
+#ifdef PS_SHEEN
+  ps_behind_lobes.fibres = vec3(0.0);
+#endif
   lobes.diffuse *= 1.0 - ps_backlit;
 }
 
@@ -231,19 +361,52 @@ PsLobes ps_coat_lobes(vec3 normal, vec3 plane, vec3 to_eye, float spread)
 #else
   PsSurface surface = PsSurface(vec3(0.0), vec3(0.0), ps_coat.layer.y, 0.0, ps_coat.layer.z);
 #endif
+#ifdef PS_TINTED
+  ps_tint = vec3(1.0);
+#endif
+#ifdef PS_TANGENT
+  ps_grain = vec3(0.0);
+#endif
   PsLobes coat = ps_lobes(surface, normal, plane, to_eye);
   coat.reflectance *= ps_coat.layer.x;
   coat.dielectric_scale *= ps_coat.layer.x;
   return coat;
 }
 
-// What is below a coat, of which `left` arrives.
+#endif
+
+#ifdef PS_LAYERED
+
+// What is below a layer, of which `left` arrives.
 PsLobes ps_covered_lobes(PsLobes lobes, vec3 left)
 {
   lobes.diffuse *= left;
   lobes.reflectance *= left;
   lobes.below *= left;
+#ifdef PS_DIFFUSE_LOBES
+  lobes.even *= left;
+#endif
   return lobes;
+}
+
+#endif
+
+#ifdef PS_TANGENT
+
+// Squares of alpha along the grain, across it, and of 1 along the normal, of a lobe of which a2 is the mean one.
+vec3 ps_stretched(PsLobes lobes, float a2)
+{
+  float more = a2 - lobes.own2, stretch2 = lobes.stretch * lobes.stretch;
+  return vec3(max(vec2(lobes.own2 * stretch2, lobes.own2 / stretch2) + more, vec2(1e-6)), 1.0);
+}
+
+// Squares of the components of a vector along the grain, across it, and along the normal.
+vec3 ps_parts2(PsLobes lobes, vec3 v)
+{
+  float along = dot(v, lobes.grain), up = dot(v, lobes.reflecting);
+  float across = dot(v, cross(lobes.reflecting, lobes.grain));
+  return lobes.stretch == 1.0 ? vec3(max(dot(v, v) - up * up, 0.0), 0.0, up * up) :
+                                vec3(along * along, across * across, up * up);
 }
 
 #endif
@@ -255,7 +418,14 @@ float ps_width_along(PsLobes lobes, vec3 direction)
   vec3 seen = direction - dot(direction, lobes.mirror) * lobes.mirror;
   float size2 = max(dot(seen, seen), 1e-6);
   float across = dot(seen, lobes.across);
-  return 2.0 * lobes.alpha * sqrt((1.0 - across * across / size2 * (1.0 - lobes.cos_eye * lobes.cos_eye)) / size2);
+#ifdef PS_TANGENT
+  vec3 parts = ps_parts2(lobes, seen);
+  vec2 turned = ps_stretched(lobes, lobes.alpha * lobes.alpha).xy;
+  float alpha = sqrt(dot(parts.xy, turned) / max(parts.x + parts.y, 1e-9));
+#else
+  float alpha = lobes.alpha;
+#endif
+  return 2.0 * alpha * sqrt((1.0 - across * across / size2 * (1.0 - lobes.cos_eye * lobes.cos_eye)) / size2);
 }
 
 // The part of alpha squared that is the material's own: normals that are seen do not mask each other.
@@ -269,21 +439,38 @@ float ps_own_alpha2(PsLobes lobes, float a2)
 }
 
 // 2 n.l n.v over the share of both directions that is not masked, which correlate (Heitz 2014, equation 99).
-float ps_masked(PsLobes lobes, float above, float rough2)
+float ps_masked(PsLobes lobes, vec3 direction, float above, float rough2)
 {
+#ifdef PS_TANGENT
+  vec3 alpha2 = ps_stretched(lobes, rough2);
+  return above * sqrt(dot(alpha2, ps_parts2(lobes, lobes.to_eye))) +
+         lobes.cos_eye * sqrt(dot(alpha2, ps_parts2(lobes, direction)));
+#else
   return above * sqrt(rough2 + (1.0 - rough2) * lobes.cos_eye * lobes.cos_eye) +
          lobes.cos_eye * sqrt(rough2 + (1.0 - rough2) * above * above);
+#endif
 }
 
 // Reflectance of what the half vector stands on, times the lobe's multiple scattering.
 vec3 ps_fresnel(PsLobes lobes, float cos_between)
 {
+#ifdef PS_TINTED
+  float root = (lobes.eta - 1.0) / (lobes.eta + 1.0), f0 = root * root;
+  float rise = (ps_fresnel_dielectric(cos_between, lobes.eta) - f0) / (1.0 - f0);
+  vec3 reflected = lobes.dielectric_scale * mix(lobes.dielectric_f0, vec3(1.0), clamp(rise, 0.0, 1.0));
+#else
   vec3 reflected = vec3(lobes.dielectric_scale * ps_fresnel_dielectric(cos_between, lobes.eta));
+#endif
 #ifdef PS_HAS_METAL
   float x = 1.0 - cos_between, x2 = x * x;
+#ifdef PS_TINTED
+  vec3 of_metal = lobes.metal_f0 + (1.0 - lobes.metal_f0) * (x2 * x2 * x) - lobes.metal_dip * (cos_between * x2 * x2 * x2);
+  reflected += lobes.metal_scale * clamp(of_metal, 0.0, 1.0);
+#else
   reflected += lobes.metal_scale * (lobes.metal_f0 + (1.0 - lobes.metal_f0) * (x2 * x2 * x));
 #endif
-#ifdef PS_COAT
+#endif
+#ifdef PS_LAYERED
   reflected *= lobes.below;
 #endif
   return reflected;
@@ -294,7 +481,7 @@ vec3 ps_half_weight(PsLobes lobes, vec3 direction)
 {
   vec3 h = direction + lobes.to_eye;
   float above = max(dot(lobes.reflecting, direction), 0.0), h2 = dot(h, h);
-  float masked = ps_masked(lobes, above, ps_own_alpha2(lobes, lobes.alpha * lobes.alpha));
+  float masked = ps_masked(lobes, direction, above, ps_own_alpha2(lobes, lobes.alpha * lobes.alpha));
   // v.h / n.h: the length of h cancels.
   float turned = above > 0.0 ? 0.5 * h2 / max(dot(lobes.reflecting, h), 1e-6) : 0.0;
   return ps_fresnel(lobes, min(0.5 * sqrt(h2), 1.0)) * (2.0 * above * turned / masked);
@@ -313,14 +500,26 @@ vec3 ps_specular(PsLobes lobes, vec3 direction, float a2)
   vec3 sine = cross(lobes.reflecting, h);
   float spread = a2 * along * along + dot(sine, sine);
   float cos_between = min(0.5 * sqrt(h2), 1.0);
-  float masked = ps_masked(lobes, above, ps_own_alpha2(lobes, a2));
+  float masked = ps_masked(lobes, direction, above, ps_own_alpha2(lobes, a2));
+#ifdef PS_TANGENT
+  vec3 alpha2 = ps_stretched(lobes, a2), parts = ps_parts2(lobes, h);
+  float narrow = dot(parts, 1.0 / alpha2);
+  float mean2 = sqrt(alpha2.x * alpha2.y);
+  float density = 1.0 / (mean2 * narrow * narrow);
+#else
+  float mean2 = a2;
   float density = a2 / (spread * spread);
+#endif
 #ifdef PS_SPREAD
   // Normals that are seen have no tails as those of a GGX lobe.
-  float share = lobes.widened / a2;
+  float share = min(lobes.widened / mean2, 1.0);
   float along2 = along > 0.0 ? along * along : 1e-9;
-  float tan2 = dot(sine, sine) / along2;
-  density = mix(density, exp(-tan2 / a2) / (a2 * along2 * along2), share);
+#ifdef PS_TANGENT
+  float exponent = dot(parts.xy / alpha2.xy, vec2(1.0)) / along2;
+#else
+  float exponent = dot(sine, sine) / (along2 * a2);
+#endif
+  density = mix(density, exp(-exponent) / (mean2 * along2 * along2), share);
 #endif
   float lobe = density * h2 * h2 * above / (2.0 * PS_PI * masked);
   bool lit = cos_light > 0.0 && dot(lobes.normal, direction) > 0.0 && dot(lobes.reflecting, lobes.to_eye) > 0.0;

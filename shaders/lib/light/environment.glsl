@@ -96,13 +96,19 @@ vec3 ps_mirrored_world(PsLobes lobes)
 #endif
 }
 
+#ifdef PS_DIFFUSE_LOBES
+#define PS_DIFFUSE_OF(lobes) (lobes).even
+#else
+#define PS_DIFFUSE_OF(lobes) (lobes).diffuse
+#endif
+
 #ifdef PS_INDIRECT
 // What the surface receives from all others and from the sky that these leave open: shaders/indirect/interpolate.frag.
 vec4 ps_gathered, ps_mirrored;
 
 vec3 ps_shade_world(PsLobes lobes)
 {
-  return lobes.diffuse * ps_gathered.rgb +
+  return PS_DIFFUSE_OF(lobes) * ps_gathered.rgb +
          lobes.reflectance * (ps_mirrored.rgb + ps_mirrored.a * ps_mirrored_world(lobes));
 }
 #else
@@ -110,9 +116,9 @@ vec3 ps_shade_world(PsLobes lobes)
 {
 #if defined(PS_HAS_ENVIRONMENT)
   vec2 uv = ps_uv_from_direction(ps_image_from_view(lobes.normal));
-  return lobes.diffuse * ps_environment_level(uv, PS_ROUGH_LEVELS + 1) + lobes.reflectance * ps_mirrored_world(lobes);
+  return PS_DIFFUSE_OF(lobes) * ps_environment_level(uv, PS_ROUGH_LEVELS + 1) + lobes.reflectance * ps_mirrored_world(lobes);
 #elif defined(PS_HAS_WORLD)
-  return (lobes.diffuse + lobes.reflectance) * ps_mirrored_world(lobes);
+  return (PS_DIFFUSE_OF(lobes) + lobes.reflectance) * ps_mirrored_world(lobes);
 #else
   return vec3(0.0);
 #endif

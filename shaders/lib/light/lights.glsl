@@ -40,6 +40,12 @@ vec3 ps_shade(vec3 position, vec3 normal, vec3 plane, vec3 to_eye, PsSurface sur
 #endif
 #if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT) || defined(PS_INDIRECT)
   PsLobes lobes = ps_lobes(surface, normal, plane, to_eye);
+#ifdef PS_ROUGH_DIFFUSE
+  ps_roughen(lobes, surface.base, ps_diffuse_roughness);
+#endif
+#ifdef PS_TOON
+  lobes.toon = ps_toon;
+#endif
 #ifdef PS_COAT
 #ifdef PS_SPREAD
   ps_coated = ps_coat_lobes(normal, plane, to_eye, surface.spread);
@@ -49,9 +55,22 @@ vec3 ps_shade(vec3 position, vec3 normal, vec3 plane, vec3 to_eye, PsSurface sur
   vec3 left = ps_below_coat(ps_coated);
   lobes = ps_covered_lobes(lobes, left);
   result *= left;
-#ifdef PS_TERM
-  ps_keep_term(ps_coated);
 #endif
+#ifdef PS_SHEEN
+  PsLobes clothed = lobes;
+  ps_clothe(clothed, ps_sheen.rgb, ps_sheen.a);
+  vec3 among = vec3(1.0 - min(ps_most(clothed.fibres), 1.0));
+  lobes = ps_covered_lobes(lobes, among);
+  lobes.fibres = clothed.fibres;
+  lobes.bend = clothed.bend;
+  lobes.even += lobes.fibres;
+  result *= among;
+#ifdef PS_COAT
+  ps_coated = ps_covered_lobes(ps_coated, among);
+#endif
+#endif
+#if defined(PS_COAT) && defined(PS_TERM)
+  ps_keep_term(ps_coated);
 #endif
 #ifdef PS_TERM
   ps_keep_term(lobes);
@@ -61,6 +80,9 @@ vec3 ps_shade(vec3 position, vec3 normal, vec3 plane, vec3 to_eye, PsSurface sur
   result += ps_coated.reflectance;
 #endif
   result += lobes.diffuse + lobes.reflectance;
+#ifdef PS_SHEEN
+  result += lobes.fibres;
+#endif
 #elif defined(PS_SHOWS_SURFACES)
 #ifdef PS_COAT
   result += ps_shade_world(ps_coated);

@@ -16,7 +16,20 @@
 struct PsReceived {
   float irradiance;
   vec3 specular;  // radiance of the GGX lobe
+#ifdef PS_DIFFUSE_LOBES
+  vec3 diffuse;  // mean of the diffuse lobes' BSDF over the irradiance, times pi
+#endif
 };
+
+// `from`: unit, where the irradiance comes from.
+PsReceived ps_received(float irradiance, vec3 specular, PsLobes lobes, vec3 from)
+{
+#ifdef PS_DIFFUSE_LOBES
+  return PsReceived(irradiance, specular, ps_shaped(lobes, from));
+#else
+  return PsReceived(irradiance, specular);
+#endif
+}
 
 vec4 ps_light(int index, int column)
 {
@@ -26,7 +39,12 @@ vec4 ps_light(int index, int column)
 // Radiance that the surface reflects; the light's colour and position texels hold its factors.
 vec3 ps_reflected(PsReceived received, PsLobes lobes, vec4 color, float specular)
 {
-  return color.rgb * (color.w * received.irradiance / PS_PI * lobes.diffuse + specular * received.specular);
+#ifdef PS_DIFFUSE_LOBES
+  vec3 diffuse = received.irradiance > 0.0 ? received.diffuse : vec3(0.0);
+#else
+  vec3 diffuse = lobes.diffuse;
+#endif
+  return color.rgb * (color.w * received.irradiance / PS_PI * diffuse + specular * received.specular);
 }
 
 // The points of a quadrature of degree 5 over the unit disk: the centre, weighing 1/4, then six at this distance,

@@ -86,10 +86,9 @@ PsReceived ps_round_light(PsLobes lobes, vec3 to_light, float sine2, float scale
 #ifdef PS_HAS_WIDE_LIGHTS
   float cosine = sqrt(max(1.0 - sine2, 0.0));
   float energy = scale * 2.0 / (1.0 + cosine);
-  return PsReceived(scale * received, energy * ps_cone_specular(lobes, to_light, sine2, cosine));
+  return ps_received(scale * received, energy * ps_cone_specular(lobes, to_light, sine2, cosine), lobes, to_light);
 #else
-  return PsReceived(scale * received,
-                    scale * ps_specular(lobes, to_light, lobes.alpha * lobes.alpha));
+  return ps_received(scale * received, scale * ps_specular(lobes, to_light, lobes.alpha * lobes.alpha), lobes, to_light);
 #endif
 }
 

@@ -119,7 +119,16 @@ def whole() -> Scene:
     )
     matrices = np.tile(np.eye(4), (3, 1, 1))
     table = replace(
-        default_materials(), hair=hair(), coat=coat(), anisotropy=np.zeros(1, F), backlit=np.zeros((1, 3), F)
+        default_materials(),
+        hair=hair(),
+        coat=coat(),
+        anisotropy=np.zeros(1, F),
+        backlit=np.zeros((1, 3), F),
+        tint=np.ones((1, 3), F),
+        diffuse_roughness=np.zeros(1, F),
+        sheen=np.zeros((1, 4), F),
+        toon=-np.ones((1, 2), F),
+        holdout=np.zeros(1, F),
     )
     return Scene(geometries, Instances(np.arange(3, dtype=np.int32), matrices, matrices.copy()), table, (light(),))
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pointsplat_addon.core.material.graph import MaterialGraph
-from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, texture_nodes
+from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, normal_nodes, texture_nodes
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.lights import Light
@@ -148,6 +148,21 @@ def backlit() -> Case:
     """Three cubes, of which one is lit from behind in part."""
     table = build.materials(3, backlit=np.array([[0] * 3, [0.2, 0.5, 0.1], [0] * 3], np.float32))
     return with_scene(mixed_materials(), materials=table)
+
+
+def with_column(**column) -> Case:
+    """Three cubes, of whose materials one has something more."""
+    return with_scene(mixed_materials(), materials=build.materials(3, **column))
+
+
+def stretched() -> Case:
+    """A cube whose reflections are stretched."""
+    tangent = normal_nodes.Tangent(input_nodes.Constant((0.5,)), input_nodes.Constant((0.0,)))
+    table = replace(build.materials(1, metallic=[1]), graphs=(MaterialGraph(tangent=tangent),))
+    cube = build.mesh(meshes.cube_mesh("leave out: stretched", 0.8), "POLYGONS")
+    return with_settings(
+        Case(build.scene((cube, build.moved()), table=table), cameras.camera()), technique="VISIBILITY"
+    )
 
 
 def many_instances() -> Case:

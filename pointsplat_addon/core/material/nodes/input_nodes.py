@@ -82,6 +82,16 @@ class Coordinates(Source):
 
 
 @record
+class Backfacing(Source):
+    """1 where the back of a triangle is seen, else 0: the one value that depends on who looks."""
+
+    def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
+        if inputs.backfacing is None:
+            return np.zeros((1, 1), np.float32)
+        return inputs.backfacing[:, None].astype(np.float32)
+
+
+@record
 class ObjectValue(Source):
     """A value of the object that a sample lies on, (N, C), zeros if it is unknown. Its name: see object_values.py."""
 

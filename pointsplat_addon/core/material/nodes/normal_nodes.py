@@ -50,6 +50,38 @@ def _tangent_frame(normal: np.ndarray, inputs: SampleInputs) -> tuple[np.ndarray
 
 
 @record
+class Tangent(Expression):
+    """The direction (N, 3) in object space along which a surface is the rougher, as long as `stretch`.
+
+    Around an axis: across it, from how far the generated coordinates are from their middle, as in Cycles; else along
+    growing u of a UV map. It is turned around the normal by `turns`.
+    """
+
+    stretch: Expression  # in [0, 1): 1 - 1 / ratio of the roughness along it to the mean one
+    turns: Expression
+    axis: int = 2
+    uv: UV | None = None  # None: around the axis
+
+    @property
+    def varies(self) -> bool:
+        return True
+
+    def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
+        stretch, turns = values[:2]
+        normal = three_columns(inputs.normal, len(inputs))
+        if self.uv is None:
+            away = three_columns(inputs.generated, len(inputs)) - np.float32(0.5)
+            along = np.zeros_like(away)
+            first, second = ((1, 2), (0, 2), (0, 1))[self.axis]
+            along[:, first], along[:, second] = -away[:, second], away[:, first]
+        else:
+            along = three_columns(inputs.tangent, len(inputs))
+        along = normalize_rows(along - row_dot(along, normal) * normal)
+        angle = np.float32(2 * np.pi) * turns
+        return stretch * (np.cos(angle) * along + np.sin(angle) * np.cross(normal, along))
+
+
+@record
 class Bump(Expression):
     """Unit normal (N, 3) in object space of a surface that is raised by a height (Mikkelsen 2010), as in Cycles.
 
@@ -62,6 +94,7 @@ class Bump(Expression):
     strength: Expression
     distance: Expression  # object units of a height of 1; negative: heights lead inwards
     normal: Expression  # what is raised
+    of_object: bool = False  # distances grow with the object; else they are of world space where that is known
 
     @property
     def varies(self) -> bool:
@@ -72,6 +105,8 @@ class Bump(Expression):
         if inputs.moved is None or inputs.steps is None:
             return normal
         a, b = (compute_node(self.height, moved, {}) - height for moved in inputs.moved)
+        if self.of_object and inputs.unit is not None:
+            distance = distance * inputs.unit
         return bumped(normal, inputs.steps[0], inputs.steps[1], distance * a, distance * b, strength)
 
 

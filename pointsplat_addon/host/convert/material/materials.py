@@ -9,6 +9,7 @@ import hashlib
 from collections.abc import Callable, Iterable
 from dataclasses import fields, replace
 from functools import partial
+from typing import Any
 
 import bpy
 import numpy as np
@@ -22,6 +23,7 @@ from ....core.numeric.cryptomatte import cryptomatte_hash
 from ....core.numeric.record import record
 from ....core.scene.materials import CoatTable, HairTable, MaterialTable, default_materials
 from ....core.scene.volume import Medium
+from .displacement import read_displacement
 from .media import read_medium
 from .nodes.table import tree_reader
 from .nodes.tree import FindPlacement, HairConstants, Placement, TreeReader, UnsupportedNodeError, nowhere
@@ -66,6 +68,11 @@ class MaterialRow:
     hair: HairConstants | None = None
     coat: Coat | None = None
     backlit: tuple[float, ...] = (0.0, 0.0, 0.0)
+    tint: tuple[float, ...] = (1.0, 1.0, 1.0)
+    diffuse_roughness: float = 0.0
+    sheen: tuple[float, ...] = (0.0, 0.0, 0.0, 0.5)  # colour times weight, roughness
+    toon: tuple[float, ...] | None = None  # size and smoothness
+    holdout: float = 0.0
     warnings: tuple[str, ...] = ()
 
     @property
@@ -75,7 +82,8 @@ class MaterialRow:
         volume = None if self.medium is None else [np.asarray(v).tolist() for v in vars(self.medium).values()]
         light = self.translucent, self.glass, self.transmission_color
         shown = sorted(self.constants.items()), varying, self.cull, light, volume, self.hair, self.coat, self.backlit
-        text = repr((*shown, self.pass_index, self.name))
+        more = self.tint, self.diffuse_roughness, self.sheen, self.toon, self.holdout
+        text = repr((*shown, *more, self.pass_index, self.name))
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
@@ -114,6 +122,11 @@ def convert_materials(
         hair=_hair_columns(rows),
         coat=_coat_columns(rows),
         backlit=_backlit_column(rows),
+        tint=_column_unless(1, [row.tint for row in rows]),
+        diffuse_roughness=_column_or_none(np.float32, [row.diffuse_roughness for row in rows]),
+        sheen=np.array([row.sheen for row in rows], np.float32) if any(any(row.sheen[:3]) for row in rows) else None,
+        toon=_column_unless(-1, [row.toon or (-1.0, -1.0) for row in rows]),
+        holdout=_column_or_none(np.float32, [row.holdout for row in rows]),
     )
     return converted, [warning for row in rows for warning in row.warnings]
 
@@ -153,6 +166,12 @@ def _column_or_none(dtype: type, values: list) -> np.ndarray | None:
     return np.array(values, dtype) if any(values) else None
 
 
+def _column_unless(default: float, values: list[tuple[float, ...]]) -> np.ndarray | None:
+    """A column of the table; None if all values are the default one."""
+    column = np.array(values, np.float32)
+    return None if (column == default).all() else column
+
+
 def _default_row(table: MaterialTable) -> MaterialRow:
     """What faces without a material have in Cycles: a dull surface before Blender 5, then the Principled BSDF."""
     if bpy.app.version < (5, 0, 0):
@@ -176,10 +195,16 @@ def convert_material(material: bpy.types.Material, placement: FindPlacement = no
     """
     tree = tree_reader(material.name, placement, material.pass_index)
     output = output_node(material)
+    if output is not None:
+        tree.normal = read_displacement(tree, material, output)
     surface = _material_surface(material, output, tree)
     translucent = _is_translucent(surface)
     if not translucent:
         surface = replace(surface, transmission_color=WHITE)
+    elif any(isinstance(node, input_nodes.Backfacing) for node in walk(surface.alpha, surface.transmission_color)):
+        tree.warnings.append(
+            f'Material "{material.name}": lights with a size cast its shadows as though all saw the front of it'
+        )
     constants, graph = _split_constants(surface, tree)
     passes = constants.pop("transmission_color")
     return MaterialRow(
@@ -196,6 +221,7 @@ def convert_material(material: bpy.types.Material, placement: FindPlacement = no
         hair=tree.hair,
         coat=_coat(surface, tree),
         backlit=_backlit(surface, tree),
+        **_reflection(surface, tree),
         warnings=tuple(tree.warnings),
     )
 
@@ -209,8 +235,8 @@ def _is_translucent(surface: Surface) -> bool:
     value = constant(surface.alpha)
     if value is not None:
         return bool(value[0] < 1 - 1e-6)
-    if any(isinstance(node, input_nodes.ObjectValue) for node in walk(surface.alpha)):
-        return True  # meshes that several objects show are cut out alike
+    if any(isinstance(node, input_nodes.ObjectValue | input_nodes.Backfacing) for node in walk(surface.alpha)):
+        return True  # meshes that several objects show are cut out alike, and seen from either side
     return not is_mask(surface.alpha) or not is_constant(surface.transmission_color, 1)
 
 
@@ -265,6 +291,10 @@ def _split_constants(surface: Surface, tree: TreeReader) -> tuple[dict[str, tupl
     varying: dict[str, Expression] = {}
     for name, (_, top) in CHANNELS.items():
         expression = getattr(surface, name)
+        if name == "tangent":
+            if expression.varies:
+                varying[name] = expression
+            continue
         if name == "normal":
             # A normal that is the same everywhere comes from an empty or broken input
             if (
@@ -308,3 +338,33 @@ def _backlit(surface: Surface, tree: TreeReader) -> tuple[float, ...]:
         tree.warnings.append(f'Material "{tree.material_name}": its translucency varies, and is lit from the front')
         return (0.0, 0.0, 0.0)
     return tuple(np.clip(np.nan_to_num(np.broadcast_to(value, 3)), 0, 1).tolist())
+
+
+def _reflection(surface: Surface, tree: TreeReader) -> dict[str, Any]:
+    """The fields of MaterialRow that tell of reflection and holdouts; the defaults, with a warning, of what varies."""
+
+    def known(name: str, what: str) -> list[float] | None:
+        value = constant(getattr(surface, name))
+        if value is None:
+            tree.warnings.append(f'Material "{tree.material_name}": its {what} varies, and is left out')
+            return None
+        return np.clip(np.nan_to_num(value), 0, None).tolist()
+
+    found: dict[str, Any] = {}
+    if (tint := known("tint", "specular tint")) is not None:
+        found["tint"] = tuple(np.broadcast_to(tint, 3).tolist())
+    if (rough := known("diffuse_roughness", "diffuse roughness")) is not None:
+        found["diffuse_roughness"] = min(rough[0], 1.0)
+    if not is_constant(surface.sheen, 0):
+        sheen, rough = known("sheen", "sheen"), known("sheen_roughness", "sheen")
+        if sheen is not None and rough is not None:
+            found["sheen"] = *np.minimum(np.broadcast_to(sheen, 3), 1).tolist(), min(rough[0], 1.0)
+    if (toon := known("toon", "toon shading")) is not None and toon[-1] > 0:
+        if toon[-1] < 1:
+            tree.warnings.append(f'Material "{tree.material_name}": all diffuse light of its mixture is a toon')
+        found["toon"] = tuple((np.array(toon[:2]) / toon[-1]).tolist())
+    if (cut := known("holdout", "holdout")) is not None:
+        found["holdout"] = min(cut[0], 1.0)
+        if cut[0] > 0 and not is_constant(surface.alpha, 1):
+            tree.warnings.append(f'Material "{tree.material_name}": its holdout is transmissive, and is drawn black')
+    return found

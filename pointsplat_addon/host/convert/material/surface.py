@@ -19,6 +19,8 @@ BLACK = input_nodes.Constant((0.0, 0.0, 0.0))
 ZERO, ONE = input_nodes.Constant((0.0,)), input_nodes.Constant((1.0,))
 GLASS_IOR = input_nodes.Constant((1.5,))  # Principled's default index of refraction
 COAT_ROUGHNESS = input_nodes.Constant((0.03,))  # Principled's default
+SHEEN_ROUGHNESS = input_nodes.Constant((0.5,))  # Principled's default
+NO_TOON = input_nodes.Constant((0.0, 0.0, 0.0))
 WHITE = input_nodes.Constant((1.0, 1.0, 1.0))
 GRAY = 1e-6  # difference of the channels of what counts as a grey
 SURFACE_NORMAL = input_nodes.Coordinates("normal")
@@ -42,6 +44,14 @@ class Surface:
     coat_roughness: Expression = COAT_ROUGHNESS
     coat_ior: Expression = GLASS_IOR
     coat_tint: Expression = WHITE
+    tangent: Expression = BLACK  # of stretched reflections; BLACK: they are round
+    # All that follows is constant
+    tint: Expression = WHITE  # of the specular reflection: core.scene.materials.MaterialTable.tint
+    diffuse_roughness: Expression = ZERO
+    sheen: Expression = BLACK  # colour times weight
+    sheen_roughness: Expression = SHEEN_ROUGHNESS
+    toon: Expression = NO_TOON  # size and smoothness of diffuse light, and 1
+    holdout: Expression = ZERO  # share of what is seen that is cut out of the picture
 
 
 def scale_color(color: Expression, factor: Expression) -> Expression:
@@ -78,7 +88,7 @@ def thin_glass(tint: Expression, like: Surface, *, reflects: bool = True) -> Sur
         return glass
     # What absorbs has a specular reflection of its own
     fresnel = input_nodes.Constant((float((index[0] - 1) / (index[0] + 1)) ** 2,))
-    mirror = replace(like, base_color=WHITE, metallic=ONE, emission=BLACK)
+    mirror = replace(like, base_color=WHITE, metallic=ONE, emission=BLACK, tint=WHITE)
     return mix_surfaces(glass, mirror, multiply(fresnel, transmitted))
 
 
@@ -94,7 +104,9 @@ def mix_surfaces(a: Surface, b: Surface, factor: Expression) -> Surface:
     alpha = math_nodes.Math(a_weight, b_weight, ZERO, "ADD")
     both_opaque = is_constant(a.alpha, 1) and is_constant(b.alpha, 1)
     t = factor if both_opaque else math_nodes.Math(b_weight, alpha, ZERO, "DIVIDE")
-    a, b = _with_coat_of(a, b), _with_coat_of(b, a)
+    if not (is_constant(a.holdout, 0) and is_constant(b.holdout, 0)):
+        return _mixed_holdout(a, b, first, factor)
+    a, b = _with_unseen_of(a, b), _with_unseen_of(b, a)
     backlit = _mixed_backlit(t, a, b)
     mixed = {f.name: _mix_unless_equal(t, getattr(a, f.name), getattr(b, f.name)) for f in fields(Surface)}
     return Surface(
@@ -116,11 +128,36 @@ def _mixed_backlit(t: Expression, a: Surface, b: Surface) -> Expression:
     return input_nodes.Constant(tuple(np.divide(behind, total, np.zeros(3), where=total > 0).tolist()))
 
 
-def _with_coat_of(bare: Surface, other: Surface) -> Surface:
-    """A surface, which if it has no coat has the look of the other's coat, without its weight."""
-    if not is_constant(bare.coat, 0):
-        return bare
-    return replace(bare, coat_roughness=other.coat_roughness, coat_ior=other.coat_ior, coat_tint=other.coat_tint)
+def _mixed_holdout(a: Surface, b: Surface, first: Expression, factor: Expression) -> Surface:
+    """The mixture of two surfaces of which a share of each is cut out: what is left of them, and the share of all."""
+    held = [multiply(share, surface.holdout) for share, surface in ((first, a), (factor, b))]
+    cut = math_nodes.Math(*held, ZERO, "ADD")
+    if is_constant(a.holdout, 1):
+        return replace(b, holdout=cut)
+    if is_constant(b.holdout, 1):
+        return replace(a, holdout=cut)
+    seen = math_nodes.Math(factor, held[1], ZERO, "SUBTRACT")
+    share = math_nodes.Math(seen, math_nodes.Math(ONE, cut, ZERO, "SUBTRACT"), ZERO, "DIVIDE")
+    return replace(mix_surfaces(replace(a, holdout=ZERO), replace(b, holdout=ZERO), share), holdout=cut)
+
+
+def _with_unseen_of(surface: Surface, other: Surface) -> Surface:
+    """A surface that has the other's parameters where none of it shows its own, so that mixtures do not mix them."""
+    unseen: list[str] = []
+    metal, dark = is_constant(surface.metallic, 1), is_constant(surface.base_color, 0)
+    if is_constant(surface.coat, 0):
+        unseen += ["coat_roughness", "coat_ior", "coat_tint"]
+    if is_constant(surface.sheen, 0):
+        unseen += ["sheen_roughness"]
+    if metal:
+        unseen += ["ior", "specular"]
+    elif is_constant(surface.metallic, 0) and is_constant(surface.specular, 0):
+        unseen += ["tint"]
+    if dark and is_constant(surface.metallic, 0) and is_constant(surface.specular, 0):
+        unseen += ["tangent"]
+    if metal or dark:
+        unseen += ["diffuse_roughness", "toon"]
+    return replace(surface, **{name: getattr(other, name) for name in unseen})
 
 
 def faded(surface: Surface, alpha: Expression) -> Surface:

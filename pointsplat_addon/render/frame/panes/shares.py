@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -124,6 +125,9 @@ def _shares(
             samples, scale = footprints_in_view(
                 view, where[some], depth[some], mesh, triangle[some], draw.object_from_view, slot[some]
             )
+            # Receivers look at a pane from where the light does not.
+            assert samples.backfacing is not None
+            samples = replace(samples, backfacing=~samples.backfacing)
             of_objects, samples = on_objects(scene, mesh, samples, draw.instance[slot[some]])
             through = through_at(of_objects, samples, graphs_of(mesh, scene.materials), scene.materials, scale)
             found[some] = through[:, :channels]

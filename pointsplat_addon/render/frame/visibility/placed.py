@@ -89,6 +89,10 @@ def placed_textures(
                 length = np.einsum("nc,nc->n", values, values)
                 spread = np.maximum(1 / np.maximum(length, 1e-4) - 1, 0)
                 values = np.column_stack([unit_rows(values), spread])
+            if name == "ps_placed_tangent":
+                # Across the normal in view space too
+                turn = np.ascontiguousarray(draw.object_from_view[:, :3, :3].swapaxes(1, 2))
+                values = unit_rows(_turned(turn, slot, values)) * np.linalg.norm(values, axis=1, keepdims=True)
             out[here, : values.shape[1]] = values
 
     for draw in shown:
@@ -164,6 +168,7 @@ def footprints_in_view(
     toward = position if perspective else np.broadcast_to([0.0, 0.0, -1.0], position.shape)
     towards = np.einsum("nc,nc->n", plane, toward)
     least = GRAZING * np.sqrt(np.einsum("nc,nc->n", toward, toward))
+    backfacing = towards > 0
     towards = np.where(towards < 0, np.minimum(towards, -least), np.maximum(towards, least))
     half = 0.5 * view.footprint * (depth if perspective else np.ones_like(depth))
     ways = []
@@ -174,7 +179,8 @@ def footprints_in_view(
         ways.append(_turned(turn, slot, way * (half / focal[axis])[:, None]))
     scale = np.cbrt(np.abs(np.linalg.det(turn))).astype(np.float32)
     scale = np.divide(1, scale, out=np.ones_like(scale), where=scale > 0)
-    return footprints(mesh, triangle, _turned(turn, slot, position) + move[slot], *ways), scale[slot]
+    found = footprints(mesh, triangle, _turned(turn, slot, position) + move[slot], *ways)
+    return replace(found, backfacing=backfacing), scale[slot]
 
 
 def _turned(matrices: np.ndarray, slot: np.ndarray, vectors: np.ndarray) -> np.ndarray:

@@ -1,9 +1,11 @@
-"""The material table on the device: four texels for each material, six where something is coated,
-seven where something is lit from behind.
+"""The material table on the device: four texels for each material, and up to ten where something has
+more than the first columns hold.
 
 They hold: base colour, alpha; emission, anisotropy; 1 where back faces are culled, roughness, metallic, the index of
 refraction that stands for IOR and specular level; further parameters of hair (core.light.hair.hair_texels); of the coat
-weight, roughness and index of refraction; its tint; the share of diffuse light that comes from behind.
+weight, roughness and index of refraction; its tint; the share of diffuse light that comes from behind; the tint of
+reflections, diffuse roughness; colour and roughness of sheen; size and smoothness of toon shading, whether it is, and
+the share that is cut out.
 """
 
 from __future__ import annotations
@@ -18,8 +20,10 @@ LEAST_SPREAD = 0.99  # of |g|: lobes narrower than this would alias between spla
 
 
 def material_rows(table: MaterialTable, escape: np.ndarray) -> np.ndarray:
-    """Returns the material table, (M, 4 | 6 | 7, 4) float32: one row of texels a material. escape: (M,), of hair."""
-    texels = 7 if table.backlit is not None else 6 if table.coat is not None else 4
+    """Returns the material table, (M, 4 .. 10, 4) float32: one row of texels a material. escape: (M,), of hair."""
+    further = {6: table.coat, 7: table.backlit, 8: _either(table.tint, table.diffuse_roughness), 9: table.sheen}
+    further[10] = _either(table.toon, table.holdout)
+    texels = max([4, *(count for count, column in further.items() if column is not None)])
     rows = np.zeros((len(table), texels, 4), np.float32)
     rows[:, 0, :3], rows[:, 0, 3] = table.base_color, table.alpha
     rows[:, 1, :3] = table.emission
@@ -36,4 +40,19 @@ def material_rows(table: MaterialTable, escape: np.ndarray) -> np.ndarray:
         rows[:, 5, :3] = table.coat.tint
     if table.backlit is not None:
         rows[:, 6, :3] = table.backlit
+    if table.tint is not None:
+        rows[:, 7, :3] = table.tint
+    if table.diffuse_roughness is not None:
+        rows[:, 7, 3] = table.diffuse_roughness
+    if table.sheen is not None:
+        rows[:, 8] = table.sheen
+    if table.toon is not None:
+        rows[:, 9, :2] = np.maximum(table.toon, 0)
+        rows[:, 9, 2] = table.toon[:, 0] >= 0
+    if table.holdout is not None:
+        rows[:, 9, 3] = table.holdout
     return rows
+
+
+def _either(first: np.ndarray | None, second: np.ndarray | None) -> np.ndarray | None:
+    return second if first is None else first

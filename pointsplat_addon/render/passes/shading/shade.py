@@ -85,7 +85,7 @@ def shade_program(
     grouped = lattice is not None
     by_members = {"PS_SHADOW_MAPS", "PS_SHADOW_PANES", "PS_SHADOW_FACES"}
     footprint = lattice if combined and by_members & set(lighting) else None
-    read = variant.samplers(only=("centre", "shape", "normal", "color", "emission"))
+    read = variant.samplers(only=("centre", "shape", "normal", "color", "emission", "tangent"))
     read += (("FLOAT_2D", "ps_list"),) if grouped else ()
     read += FOOTPRINT_SAMPLERS if footprint else ()
     read += INDIRECT_SAMPLERS if indirect else ()
@@ -123,7 +123,7 @@ def matte_program(
     `lighting`: as of `shade_program`, with the shadows of what was added to a capture. `behind`: something shows
     through.
     """
-    variant = replace(variant, color=False, surface=False, emission=False, spread=False)
+    variant = replace(variant, color=False, surface=False, emission=False, spread=False, tangent=False)
     made = shade_program(variant, lighting, (), frozenset({"combined"}), samples, lattice=lattice)
     read = tuple(one for one in made.samplers if one[1] != "ps_materials")
     return replace(

@@ -46,6 +46,7 @@ PLACED = {
     "ps_placed_surface": "RG32F",
     "ps_placed_emission": "RGBA16F",
     "ps_placed_normal": "RGBA16F",
+    "ps_placed_tangent": "RGBA16F",
 }
 THROUGH = "ps_through"  # what passes there: a share of light of each channel, and alpha
 
@@ -164,7 +165,7 @@ def _placed(graphs: list[MaterialGraph]) -> tuple[str, ...]:
     """Returns which of PLACED graphs vary."""
     channels = {name for graph in graphs for name in graph.channels}
     kinds = {"color": {"base_color"}, "surface": {"roughness", "metallic"}}
-    kinds |= {name: {name} for name in ("emission", "normal")}
+    kinds |= {name: {name} for name in ("emission", "normal", "tangent")}
     return tuple(f"ps_placed_{kind}" for kind, names in kinds.items() if names & channels)
 
 

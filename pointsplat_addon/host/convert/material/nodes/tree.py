@@ -69,6 +69,9 @@ class TreeReader:
         self.placement = placement
         self.pass_index = pass_index
         self.warnings: list[str] = []
+        self.normal: Expression | None = (
+            None  # what inputs of normals have while nothing is linked; None: the surface's
+        )
         self.hair: HairConstants | None = None  # set by a shader for strands
         self.glass = False  # set by shaders that transmit light
         self._converters = converters
@@ -86,7 +89,8 @@ class TreeReader:
         """The value of an input: that of the linked output, converted to the input's type, else its own value."""
         found = resolve(socket, path)
         if found is None:
-            return default_value(socket)
+            unlinked = self.normal if socket.identifier == "Normal" else None
+            return default_value(socket) if unlinked is None else unlinked
         output, path = found
         if output.is_output:
             value = self._output(output, path)

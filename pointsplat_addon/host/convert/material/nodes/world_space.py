@@ -19,12 +19,13 @@ def _matrix(node: NodeReader) -> Expression:
 
 
 def _geometry(node: NodeReader) -> Outputs:
-    """Position and Normal in world space; other outputs cannot be evaluated."""
+    """Position and Normal in world space, and which side is seen; other outputs cannot be evaluated."""
     matrix = _matrix(node)
     position, normal = (input_nodes.Coordinates(kind) for kind in ("position", "normal"))
     return {
         "Position": world_nodes.Transformed(position, matrix),
         "Normal": world_nodes.Transformed(normal, matrix, normal=True),
+        "Backfacing": input_nodes.Backfacing(),
     }
 
 
