@@ -17,7 +17,14 @@ from ...core.scene.scene import Scene
 from ...core.scene.world import World
 from ..device.protocol import Device, Texture
 from ..passes.indirect.gather import BOUNCE_CELLS, COARSENESS, GATHER_BLOCK, Gather, gather_program
-from ..passes.indirect.pages import NODE_WIDTH, RECEIVER_WIDTH, node_rows, paged_texture, receiver_texture
+from ..passes.indirect.pages import (
+    NODE_WIDTH,
+    RECEIVER_WIDTH,
+    node_shapes,
+    paged_texture,
+    receiver_texture,
+    with_radiance,
+)
 from ..passes.indirect.surfel_light import lit_surfels
 
 MOST_BOUNCE_RECEIVERS = 3000  # of either side, where light is gathered for further bounces
@@ -191,6 +198,7 @@ class _Baker:
         self._lamps = tuple(name for name in lighting if name not in self._names)
         self._textures = textures
         self._tree = build_tree(surfels)
+        self._shapes = node_shapes(self._tree)
 
     def baked(self, bounces: int, check: Callable[[], None]) -> BakedLight:
         surfels = self._surfels
@@ -216,7 +224,7 @@ class _Baker:
     def _with(self, leaving: np.ndarray) -> BakedLight:
         """`leaving` (2, N, 3): radiance that leaves surfels, outside and inside."""
         radiance = self._tree.radiance(self._surfels, *leaving)
-        return BakedLight(self._surfels.origin, node_rows(self._tree, radiance))
+        return BakedLight(self._surfels.origin, with_radiance(self._shapes, radiance))
 
     def _direct(self) -> np.ndarray:
         """(2, N, 3): irradiance over pi by lamps, outside and inside."""
