@@ -1,6 +1,7 @@
 // Gathers what a receiver sees of the light tree, and of the sky behind it, without a random number (Christensen 2008;
 // Ritschel et al. 2009). One texel a receiver; its layout: render/passes/indirect/gather.py.
-//   out_diffuse: irradiance / pi; mean over the hemisphere, by cosine, of one over the distance, the sky's 0
+//   out_diffuse: irradiance / pi; mean over the hemisphere, by cosine, of one over the distance, the sky's 0; with PS_BOUNCES instead
+//     the mean of what the sky has in it
 //   out_glossy: mean radiance of surfaces over the lobe around the mirrored view, and the share of the lobe that is open
 // A walk meets near nodes first. A node is opened until it is smaller than a cell; then it covers as much of the cells under it
 // as it is large: what surfaces cover adds up, so that they are tight; leaves and hairs hide each other as if they lay there by
@@ -303,7 +304,7 @@ void main()
     }
   } while (part < count || left != 0);
 
-  float whole = 0.0, whole_lobe = 0.0, open_lobe = 0.0;
+  float of_sky = 0.0, whole = 0.0, whole_lobe = 0.0, open_lobe = 0.0;
   for (int y = 0; y < PS_CELLS; y++) {
     for (int x = 0; x < PS_CELLS; x++) {
       float weight = 0.0, angle = 0.0;
@@ -335,11 +336,16 @@ void main()
         sky = ps_environment_radiance(ps_image_from_view(world), PS_SKY_ROUGHNESS);
       }
 #endif
-      sum.diffuse += sky * left_weight;
+      sky *= u.sky * left_weight;
+      sum.diffuse += sky;
+      of_sky += dot(sky, vec3(1.0 / 3.0));
     }
   }
 #ifdef PS_GLOSSY
   out_glossy = vec4(sum.glossy, open_lobe) / max(whole_lobe, 1e-30);
+#endif
+#ifdef PS_BOUNCES
+  sum.nearness = of_sky;
 #endif
   out_diffuse = vec4(sum.diffuse, sum.nearness) / whole;
 }
