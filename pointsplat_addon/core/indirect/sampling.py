@@ -27,7 +27,7 @@ MOST_PARTS = 1 << 20  # of all triangles of a mesh
 SLIVER = 8.0  # square of the longest edge over the area, from which on a triangle is cut to the length of its samples
 TURNED_ONE_WAY = 0.9  # length of the mean of unit normals, below which triangles are not taken together
 COMPACT = 0.5  # variance of places over the area, above which they are not either: of a square it is a sixth
-REFINEMENTS, FINER = 4, 4.0  # times that groups of triangles turned several ways are divided; into so many
+REFINEMENTS, FINER = 1, 4.0  # times that groups of triangles turned several ways are divided; into so many
 # Of places (3, n): how far apart samples are to be there, and how far away the viewer is, (n,) each.
 Spacing = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
@@ -192,22 +192,29 @@ def _merged(middle: np.ndarray, normal: np.ndarray, area: np.ndarray, worth: np.
         none = np.zeros((0, 3))
         return _Merged(np.zeros(0, np.int64), none, none, np.zeros(0))
     order, _ = sorted_by_code(morton_codes(middle.T.astype(np.float32))[0])
-    area, worth = area[order], worth[order].copy()
     centre = middle.mean(axis=1, keepdims=True)
-    middle = middle[:, order] - centre
-    columns = np.vstack([area, middle * area, normal[:, order] * area, dot(middle, middle) * area])
-    for again in range(REFINEMENTS + 1):
+    middle = middle - centre
+    columns = np.vstack([area, middle * area, normal * area, dot(middle, middle) * area])[:, order]
+    worth = worth[order]
+    kind = np.zeros(len(order), np.int64)
+    for again in range(REFINEMENTS + 2):
         group = np.floor(np.cumsum(worth) - 0.5 * worth)
-        new = np.append(True, group[1:] != group[:-1])
+        new = np.append(True, (group[1:] != group[:-1]) | (kind[1:] != kind[:-1]))
         first, sums, length, apart = _groups(columns, new)
-        if not apart.any():
+        if again > REFINEMENTS or not apart.any():
             break
-        several = apart[np.cumsum(new) - 1]
-        if again < REFINEMENTS:
-            worth[several] = np.minimum(worth[several] * FINER, 1.0)
+        number = np.cumsum(new) - 1
+        several = apart[number]
+        if again == 0:
+            # Those that are turned several ways are taken apart by the side that they are turned to.
+            facing = columns[4:7]
+            axis = np.abs(facing).argmax(axis=0)
+            side = 2 * axis + (facing[axis, np.arange(len(axis))] < 0)
+            kind = 6 * number + np.where(several, side, 0)
+            rows = np.argsort(kind, kind="stable")
+            order, kind, worth, columns = order[rows], kind[rows], worth[rows], columns[:, rows]
         else:
-            # What is left stays by itself.
-            first, sums, length, _ = _groups(columns, new | several)
+            worth[several] = np.minimum(worth[several] * FINER, 1.0)
     own = normal[:, order[first]]
     facing = np.where(length > 1e-3 * sums[0], sums[4:7] / np.maximum(length, 1e-300), own)
     middle_row = (first + np.append(first[1:], len(order))) // 2
