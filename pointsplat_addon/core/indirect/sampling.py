@@ -27,7 +27,9 @@ MOST_PARTS = 1 << 20  # of all triangles of a mesh
 SLIVER = 8.0  # square of the longest edge over the area, from which on a triangle is cut to the length of its samples
 TURNED_ONE_WAY = 0.9  # length of the mean of unit normals, below which triangles are not taken together
 COMPACT = 0.5  # variance of places over the area, above which they are not either: of a square it is a sixth
-REFINEMENTS, FINER = 1, 4.0  # times that groups of triangles turned several ways are divided; into so many
+WIDE = 0.5  # variance of places over the square of the spacing, above which they are not in any case
+REFINEMENTS, FINER = 5, 4.0  # times that groups of triangles are divided; into so many
+ALIKE = 2  # times that those are which are turned several ways
 # Of places (3, n): how far apart samples are to be there, and how far away the viewer is, (n,) each.
 Spacing = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
@@ -194,44 +196,59 @@ def _merged(middle: np.ndarray, normal: np.ndarray, area: np.ndarray, worth: np.
     order, _ = sorted_by_code(morton_codes(middle.T.astype(np.float32))[0])
     centre = middle.mean(axis=1, keepdims=True)
     middle = middle - centre
-    columns = np.vstack([area, middle * area, normal * area, dot(middle, middle) * area])[:, order]
+    columns = np.vstack([area, middle * area, normal * area, dot(middle, middle) * area, worth])[:, order]
     worth = worth[order]
     kind = np.zeros(len(order), np.int64)
-    for again in range(REFINEMENTS + 2):
+    for again in range(REFINEMENTS + 1):
         group = np.floor(np.cumsum(worth) - 0.5 * worth)
         new = np.append(True, (group[1:] != group[:-1]) | (kind[1:] != kind[:-1]))
-        first, sums, length, apart = _groups(columns, new)
-        if again > REFINEMENTS or not apart.any():
+        groups = _groups(columns, new)
+        wide = groups.several & (groups.spread > WIDE * groups.sums[0] / groups.sums[8])
+        apart = wide
+        if again < ALIKE:
+            loose = (groups.length < TURNED_ONE_WAY) | (groups.spread > COMPACT * groups.sums[0])
+            apart = wide | groups.several & loose
+        if again == REFINEMENTS or not apart.any():
             break
         number = np.cumsum(new) - 1
-        several = apart[number]
+        divided = apart[number]
         if again == 0:
             # Those that are turned several ways are taken apart by the side that they are turned to.
             facing = columns[4:7]
             axis = np.abs(facing).argmax(axis=0)
             side = 2 * axis + (facing[axis, np.arange(len(axis))] < 0)
-            kind = 6 * number + np.where(several, side, 0)
+            kind = 6 * number + np.where(divided, side, 0)
             rows = np.argsort(kind, kind="stable")
             order, kind, worth, columns = order[rows], kind[rows], worth[rows], columns[:, rows]
         else:
-            worth[several] = np.minimum(worth[several] * FINER, 1.0)
+            worth[divided] = np.minimum(worth[divided] * FINER, 1.0)
+    # Neighbours in Morton order may be far from each other.
+    groups = _groups(columns, new | wide[np.cumsum(new) - 1])
+    first, sums = groups.first, groups.sums
     own = normal[:, order[first]]
-    facing = np.where(length > 1e-3 * sums[0], sums[4:7] / np.maximum(length, 1e-300), own)
+    facing = np.where(groups.length > 1e-3, sums[4:7] / np.maximum(groups.length * sums[0], 1e-300), own)
     middle_row = (first + np.append(first[1:], len(order))) // 2
     return _Merged(order[middle_row], (sums[1:4] / sums[0] + centre).T, facing.T, sums[0])
 
 
-def _groups(columns: np.ndarray, new: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Groups of triangles: where they begin, sums over them, lengths of summed normals, and which are not to be groups.
+@record
+class _Groups:
+    """n groups of triangles."""
 
-    columns (8, M): area, and times it place, normal and squared place. new (M,) bool: where groups begin.
-    """
+    first: np.ndarray  # (n,) int64: where they begin
+    sums: np.ndarray  # (9, n): of area, and times it place, normal and squared place, and of worth
+    length: np.ndarray  # (n,): of the mean normal
+    spread: np.ndarray  # (n,): variance of places
+    several: np.ndarray  # (n,) bool: they hold more than one
+
+
+def _groups(columns: np.ndarray, new: np.ndarray) -> _Groups:
+    """columns (9, M): as _Groups.sums, of triangles. new (M,) bool: where groups begin."""
     first = np.flatnonzero(new)
     sums = np.add.reduceat(columns, first, axis=1)
-    length = np.sqrt(dot(sums[4:7], sums[4:7]))
+    length = np.sqrt(dot(sums[4:7], sums[4:7])) / sums[0]
     spread = sums[7] / sums[0] - dot(sums[1:4], sums[1:4]) / sums[0] ** 2
-    several = np.diff(np.append(first, len(new))) > 1
-    return first, sums, length, several & ((length < TURNED_ONE_WAY * sums[0]) | (spread > COMPACT * sums[0]))
+    return _Groups(first, sums, length, spread, np.diff(np.append(first, len(new))) > 1)
 
 
 def _ellipses(weights: np.ndarray, scale: np.ndarray) -> np.ndarray:
