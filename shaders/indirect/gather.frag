@@ -24,6 +24,7 @@
 // How large nodes may be whose surfaces are turned to all sides, over those that are flat: one mean radiance stands for all.
 #define PS_TURNED 0.25
 #define PS_ABOVE 0.05  // radii of a leaf above the receiver's plane from which on it is seen
+#define PS_LOW 0.005  // sine of the height above the horizon, below which nothing is seen
 #define PS_OUTSIDE 2.0  // fronts over backs that a receiver has seen, from which on it lies outside of things
 #define PS_HIDES 2.0  // of backs, over what is shown of fronts, that are hidden there
 #define PS_BESIDE 1.2  // times farther away than backs, up to which fronts take their place
@@ -231,11 +232,12 @@ void main()
         float height = dot(offset, n), d2 = max(dot(offset, offset), 1e-36), d = sqrt(d2);
         vec3 local = vec3(dot(offset, tangent), dot(offset, across), max(height, 0.0)) / d;
         float largest = min(PS_PI * node.radius * node.radius, 2.0 * node.area) / d2, along = ps_along(node);
-        bool above = height + node.radius > 0.0;
+        // How far it reaches above its middle, and how high its surface rises: as far as that is tilted.
+        float axis_up = dot(ps_unpack_normal(node.axis), n), upright = along * axis_up;
+        float reach = ps_thickness(node) * abs(axis_up) + sqrt(max(1.0 - axis_up * axis_up, 0.0));
+        bool above = height + min(reach, 1.0) * node.radius > PS_LOW * d;
         bool coarse = d < 1.5 * node.radius || largest > u.coarseness * ps_cell_solid_angle(local) * ps_sameness(along);
         opened += above ? 1 : 0;
-        // How high it rises above its middle: as far as it is tilted.
-        float upright = along * dot(ps_unpack_normal(node.axis), n);
         tilt = node.radius * sqrt(clamp(1.0 - upright * upright, 0.0, 1.0));
         part = 0;
         count = 0;

@@ -28,7 +28,7 @@ SLIVER = 8.0  # square of the longest edge over the area, from which on a triang
 TURNED_ONE_WAY = 0.9  # length of the mean of unit normals, below which triangles are not taken together
 COMPACT = 0.5  # variance of places over the area, above which they are not either: of a square it is a sixth
 WIDE = 0.5  # variance of places over the square of the spacing, above which they are not in any case
-REFINEMENTS, FINER = 5, 4.0  # times that groups of triangles are divided; into so many
+REFINEMENTS, FINER = 4, 4.0  # times that groups of triangles are divided; into so many
 ALIKE = 2  # times that those are which are turned several ways
 # Of places (3, n): how far apart samples are to be there, and how far away the viewer is, (n,) each.
 Spacing = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -79,7 +79,8 @@ def light_samples(mesh: Mesh, spacing: Spacing) -> LightSamples:
     many, few = np.flatnonzero(split_up), np.flatnonzero(~split_up & (area > 0))
     split = _split(parts.take(many), corners[:, :, many], worth[many])
     pieces = area[many][split.own] * split.share
-    merged = _merged(middle[:, few], normal[:, few], area[few], worth[few])
+    small = np.bincount(parts.triangle, worth)[parts.triangle[few]] < 1
+    merged = _merged(middle[:, few], normal[:, few], area[few], worth[few], small)
     together = parts.take(few[merged.row])
     samples = Samples(
         "AREA",
@@ -188,8 +189,11 @@ class _Merged:
     area: np.ndarray  # (N,)
 
 
-def _merged(middle: np.ndarray, normal: np.ndarray, area: np.ndarray, worth: np.ndarray) -> _Merged:
-    """Takes triangles together that are worth less than one sample each. (3, M) middles and normals, (M,) areas."""
+def _merged(middle: np.ndarray, normal: np.ndarray, area: np.ndarray, worth: np.ndarray, small: np.ndarray) -> _Merged:
+    """Takes triangles together that are worth less than one sample each.
+
+    (3, M) middles and normals, (M,) areas. `small` (M,) bool: no parts of triangles that are worth more.
+    """
     if len(area) == 0:
         none = np.zeros((0, 3))
         return _Merged(np.zeros(0, np.int64), none, none, np.zeros(0))
@@ -198,32 +202,36 @@ def _merged(middle: np.ndarray, normal: np.ndarray, area: np.ndarray, worth: np.
     middle = middle - centre
     columns = np.vstack([area, middle * area, normal * area, dot(middle, middle) * area, worth])[:, order]
     worth = worth[order]
-    kind = np.zeros(len(order), np.int64)
+    kind, mixed = np.zeros(len(order), np.int64), np.zeros(len(order), bool)
     for again in range(REFINEMENTS + 1):
         group = np.floor(np.cumsum(worth) - 0.5 * worth)
         new = np.append(True, (group[1:] != group[:-1]) | (kind[1:] != kind[:-1]))
         groups = _groups(columns, new)
-        wide = groups.several & (groups.spread > WIDE * groups.sums[0] / groups.sums[8])
-        apart = wide
-        if again < ALIKE:
-            loose = (groups.length < TURNED_ONE_WAY) | (groups.spread > COMPACT * groups.sums[0])
-            apart = wide | groups.several & loose
+        turned = groups.length < TURNED_ONE_WAY
+        apart = turned | (groups.spread > COMPACT * groups.sums[0])
+        if again >= ALIKE:
+            # They tile nothing evenly, and need not be compact.
+            apart[mixed[groups.first]] = False
+            apart |= mixed[groups.first] & (groups.spread > WIDE * groups.sums[0] / groups.sums[8])
+        apart &= groups.several
         if again == REFINEMENTS or not apart.any():
             break
         number = np.cumsum(new) - 1
-        divided = apart[number]
+        finer = apart[number]
         if again == 0:
-            # Those that are turned several ways are taken apart by the side that they are turned to.
+            # Small triangles that are turned several ways are taken apart by the side that they are turned to.
+            mixed = finer & turned[number] & small[order]
+            finer &= ~mixed
             facing = columns[4:7]
             axis = np.abs(facing).argmax(axis=0)
             side = 2 * axis + (facing[axis, np.arange(len(axis))] < 0)
-            kind = 6 * number + np.where(divided, side, 0)
+            kind = np.where(mixed, 6 * number + side + 1, 0)
             rows = np.argsort(kind, kind="stable")
-            order, kind, worth, columns = order[rows], kind[rows], worth[rows], columns[:, rows]
-        else:
-            worth[divided] = np.minimum(worth[divided] * FINER, 1.0)
-    # Neighbours in Morton order may be far from each other.
-    groups = _groups(columns, new | wide[np.cumsum(new) - 1])
+            order, kind, mixed, finer = order[rows], kind[rows], mixed[rows], finer[rows]
+            worth, columns = worth[rows], columns[:, rows]
+        worth[finer] = np.minimum(worth[finer] * FINER, 1.0)
+    # What is left stays by itself.
+    groups = _groups(columns, new | apart[np.cumsum(new) - 1])
     first, sums = groups.first, groups.sums
     own = normal[:, order[first]]
     facing = np.where(groups.length > 1e-3, sums[4:7] / np.maximum(groups.length * sums[0], 1e-300), own)

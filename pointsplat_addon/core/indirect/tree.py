@@ -34,6 +34,7 @@ class LightTree:
         np.ndarray
     )  # (M, 3) float32, unit, to the side that `facing` is on: largest eigenvector of the mean of normals' products
     along: np.ndarray  # (M,) float32: 1 where all normals lie along the axis, 0 where they are turned evenly
+    thickness: np.ndarray  # (M,) float32: how far along the axis, either way, all its surfels' disks lie at most
     scattered: np.ndarray  # (M,) float32: share of the area that belongs to leaves and hairs
     first: np.ndarray  # (M,) int32: first child; -1: a leaf
     octants: np.ndarray  # (M,) uint8: which of the eight children there are, bit by bit
@@ -166,17 +167,30 @@ def _placed(
     for nodes, count, children in placed:
         turned[children] = dot(axis[:, children], np.repeat(axis[:, nodes], count, axis=1)) < 0
     f, leaf = np.float32, place[leaf]
+    held = np.bincount(leaf, minlength=size)
+    radii, position = radii[number], means[POSITION]
+    flat = np.zeros(size, bool)
+    flat[leaf] = surfels.normal.any(axis=1)
+    thickness = np.where(flat & (held == 1), 0.0, radii)
+    for nodes, count, children in placed:
+        of_parent = np.repeat(axis[:, nodes], count, axis=1)
+        away = np.abs(dot(position[:, children] - np.repeat(position[:, nodes], count, axis=1), of_parent))
+        tilted = np.minimum(np.abs(dot(axis[:, children], of_parent)), 1.0)
+        reach = thickness[children] * tilted + radii[children] * np.sqrt(1 - tilted * tilted)
+        highest = np.maximum.reduceat(away + np.minimum(reach, radii[children]), starts(count))
+        thickness[nodes] = np.minimum(highest, radii[nodes])
     edge = np.zeros((size, 3), f)
     half = np.zeros(size, bool)
     edge[leaf], half[leaf] = surfels.edge, surfels.half
-    edge[np.bincount(leaf, minlength=size) > 1] = 0
+    edge[held > 1] = 0
     return LightTree(
         position=means[POSITION].T.astype(f),
-        radius=radii[number].astype(f),
+        radius=radii.astype(f),
         facing=means[NORMAL].T.astype(f),
         area=area.astype(f),
         axis=axis.T.astype(f),
         along=along.astype(f),
+        thickness=thickness.astype(f),
         scattered=means[SCATTERED].astype(f),
         first=first,
         octants=masks[number],

@@ -131,8 +131,8 @@ class IndirectLight:
         return self._gathered(program, (position, normal, mirror, sharpness), 1.0, sky)
 
     def bounced(self, position: np.ndarray, normal: np.ndarray, sky: float, pictures: dict[str, Texture]) -> np.ndarray:
-        """Gathers less finely, by `sky` times the world's light: (N, 4) float32, irradiance over pi and the mean of what
-        the world has in it. Otherwise as `gathered`."""
+        """Gathers less finely, by `sky` times the world's light: (N, 4) float32, irradiance over pi and the mean of
+        what the world has in it. Otherwise as `gathered`."""
         program = gather_program(self._names, False, bounces=True)
         return self._gathered(program, (position, normal, normal, np.ones(len(position))), sky, pictures)
 
@@ -219,7 +219,8 @@ class _Baker:
         direct = self._direct()
         receivers = bounce_receivers(surfels, MOST_BOUNCE_RECEIVERS)
         at = surfels.take(receivers.rows)
-        # What lamps light is bright in places: it is gathered together with the sky, a bounce ahead of what that lights.
+        # What lamps light is bright in places: it is gathered together with the sky, so that it is a
+        # bounce ahead of what the sky lights.
         lit = surfels.albedo * direct if bounces > 1 else np.zeros_like(direct)
         check()
         found, of_sky = self._gathered(at, surfels.emission + lit, 1.0)

@@ -46,6 +46,12 @@ float ps_along(PsNode node)
   return float(node.bits >> 9 & 63) / 63.0;
 }
 
+// How far it reaches along the axis at most, either way, over its radius.
+float ps_thickness(PsNode node)
+{
+  return float(node.bits >> 15 & 63) / 63.0;
+}
+
 PsNodeLook ps_node_look(int number, PsNode node)
 {
   ivec2 at = ps_node_texel(number);

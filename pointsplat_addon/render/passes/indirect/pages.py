@@ -21,8 +21,9 @@ def node_rows(tree: LightTree, radiance: np.ndarray) -> np.ndarray:
     """Returns the texels of nodes, (M, 16) float32; radiance: (3, M, 3), as of LightTree.radiance.
 
     texel 0  place and radius of the node
-          1  area; its first child, or for a leaf -1 less the code of its edge, 0: it has none; its octants, 8 bits, whether it is
-             scattered, 1 bit, and how far normals lie along the axis, 6 bits; the axis
+          1  area; its first child, or for a leaf -1 less the code of its edge, 0: it has none; its octants, 8 bits,
+             whether it is scattered, 1 bit, how far normals lie along the axis and how thick it is along that over
+             its radius, 6 bits each; the axis
           2  direction and length of `facing`; radiance before, in two numbers
           3  radiance behind and inside, in two numbers each
     """
@@ -44,7 +45,10 @@ def node_shapes(tree: LightTree) -> np.ndarray:
     found[:, 5] = np.where(tree.first < 0, -1, tree.first)
     leaves = np.flatnonzero((tree.first < 0) & tree.edge.any(axis=1))
     found[leaves, 5] -= _edge_codes(tree, leaves)
-    found[:, 6] = tree.octants + 256.0 * (tree.scattered > 0.5) + 512.0 * np.rint(LEVELS * tree.along)
+    thickness = np.ceil(LEVELS * np.minimum(tree.thickness / tree.radius * (1 + 1e-6), 1.0))
+    found[:, 6] = (
+        tree.octants + 256.0 * (tree.scattered > 0.5) + 512.0 * np.rint(LEVELS * tree.along) + 32768.0 * thickness
+    )
     found[:, 7], found[:, 8] = octahedral(tree.axis), octahedral(tree.facing)
     found[:, 9] = np.sqrt((tree.facing**2).sum(axis=1))
     return found
