@@ -29,7 +29,7 @@ from ..passes.indirect.pages import (
 from ..passes.indirect.surfel_light import lit_surfels
 
 MOST_BOUNCE_RECEIVERS = 3000  # of either side, where light is gathered for further bounces
-FEWER = 2
+FEWER = 2  # times fewer receivers gather all that comes after the first bounce of lamps' light, which is even
 LEAST_GAIN = 0.01  # of the light of surfels, below which what a bounce brings is the last
 THINNER = 0.25  # along the normal
 ALIKE = 0.9  # cosine between normals of surfels and of receivers next to theirs that light them, too
