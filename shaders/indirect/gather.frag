@@ -1,6 +1,7 @@
 // Gathers what a receiver sees of the light tree, and of the sky behind it, without a random number (Christensen 2008;
 // Ritschel et al. 2009). One texel a receiver; its layout: render/passes/indirect/gather.py.
-//   out_diffuse: irradiance / pi; mean over the hemisphere, by cosine, of one over the distance, the sky's 0
+//   out_diffuse: irradiance / pi; mean over the hemisphere, by cosine, of one over the distance, the sky's 0; with PS_BOUNCES instead
+//     the mean of what the sky has in it
 //   out_glossy: mean radiance of surfaces over the lobe around the mirrored view, and the share of the lobe that is open
 // A walk meets near nodes first. A node is opened until it is smaller than a cell; then it covers as much of the cells under it
 // as it is large: what surfaces cover adds up, so that they are tight; leaves and hairs hide each other as if they lay there by
@@ -10,7 +11,8 @@
 #include "lib/indirect/tree.glsl"
 #include "lib/indirect/hemisphere.glsl"
 
-#define PS_STACK 128
+#define PS_TURNS 4
+#define PS_STACK 24  // more than the tree has levels
 #define PS_MOST_NODES 20000  // that a walk opens: software rasterisers end all loops together after 65,535 turns
 #define PS_FINENESS (0.375 * float(PS_CELLS))  // parts of a near leaf along its side, for each step of t
 #define PS_MOST_PARTS (PS_CELLS * 3 / 2)
@@ -22,6 +24,7 @@
 // How large nodes may be whose surfaces are turned to all sides, over those that are flat: one mean radiance stands for all.
 #define PS_TURNED 0.25
 #define PS_ABOVE 0.05  // radii of a leaf above the receiver's plane from which on it is seen
+#define PS_LOW 0.005  // sine of the height above the horizon, below which nothing is seen
 #define PS_OUTSIDE 2.0  // fronts over backs that a receiver has seen, from which on it lies outside of things
 #define PS_HIDES 2.0  // of backs, over what is shown of fronts, that are hidden there
 #define PS_BESIDE 1.2  // times farther away than backs, up to which fronts take their place
@@ -33,13 +36,6 @@ vec3 ps_light[PS_CELLS * PS_CELLS];  // that comes from what covers it, times so
 float ps_fronts = 0.0, ps_backs = 0.0;  // solid angles of surfaces that were seen from before, and from behind
 float ps_left[PS_CELLS * PS_CELLS];  // one over the distance of what is seen from behind, the latest
 float ps_inside[PS_CELLS * PS_CELLS];  // covered by surfaces that are seen from before, less those from behind
-
-// Puts the child whose octant differs from `own` by `k` on the stack.
-#define PS_PUSH(k) \
-  if ((node.bits >> (own ^ k) & 1) != 0) { \
-    stack[size] = node.first + bitCount(node.bits & ((1 << (own ^ k)) - 1)); \
-    size++; \
-  }
 
 struct PsGathered {
   vec3 diffuse;
@@ -126,10 +122,64 @@ void ps_deposit(inout PsGathered sum, PsSeen seen, PsNodeLook look, vec4 lobe)
 }
 
 // How much larger than a cell a node may be whose surface is flat than one that is turned to all sides.
-float ps_sameness(PsNode node)
+float ps_sameness(float along)
 {
-  float along = float(node.bits >> 9 & 63) / 63.0;
   return mix(PS_TURNED, 1.0, along * along * along);
+}
+
+// Octants `there`, a bit each, in the order of their distance from the octant `own`: bit k stands for the one that differs from it
+// by k.
+int ps_in_order(int there, int own)
+{
+  int x = (own & 1) != 0 ? (there & 0x55) << 1 | (there >> 1 & 0x55) : there;
+  x = (own & 2) != 0 ? (x & 0x33) << 2 | (x >> 2 & 0x33) : x;
+  return (own & 4) != 0 ? (x & 15) << 4 | x >> 4 : x;
+}
+
+// exp(asinh(x))
+vec2 ps_exp_asinh(vec2 x)
+{
+  vec2 grown = abs(x) + sqrt(x * x + 1.0);
+  return mix(1.0 / grown, grown, step(0.0, x));
+}
+
+// A leaf that is near: a rectangle, or half of one, of which parts are looked at, the smaller the nearer they are: x = h sinh(t)
+// has steps of t that look alike from a height h above 0.
+struct PsLeaf {
+  vec3 middle;  // of the rectangle, from the receiver
+  vec3 along, beside;  // its sides
+  vec2 half_sides;
+  vec2 foot, heights;  // of the receiver, over the rectangle
+  vec2 from, factor;  // exp(t) at its edge, and that by which it grows from part to part
+  ivec2 parts;
+  bool triangle;
+};
+
+PsLeaf ps_leaf(PsNode node, PsNodeLook look, vec3 offset)
+{
+  PsLeaf leaf;
+  vec3 f = look.axis;
+  vec3 first = normalize(abs(f.z) < 0.7 ? vec3(f.y, -f.x, 0.0) : vec3(0.0, f.z, -f.y));
+  PsLeafEdge edge = ps_leaf_edge(node);
+  float side_length = sqrt(node.area);
+  leaf.along = edge.turn.x * first + edge.turn.y * cross(f, first);
+  leaf.beside = cross(f, leaf.along);
+  leaf.triangle = edge.half_of_it;
+  leaf.half_sides = (leaf.triangle ? 0.70710678 : 0.5) * side_length * vec2(edge.ratio, 1.0 / edge.ratio);
+  // The middle of a triangle is a third of a half side away from that of its rectangle.
+  vec2 third = leaf.half_sides * (leaf.triangle ? 1.0 / 3.0 : 0.0);
+  leaf.middle = offset + third.x * leaf.along + third.y * leaf.beside;
+  leaf.foot = -vec2(dot(leaf.middle, leaf.along), dot(leaf.middle, leaf.beside));
+  vec2 off = max(abs(leaf.foot) - leaf.half_sides, 0.0);
+  float least = node.first == -1 ? PS_LEAST_OF_ROUGH : PS_LEAST_HEIGHT;
+  float height = max(abs(dot(f, offset)), least * side_length);
+  leaf.heights = sqrt(height * height + off.yx * off.yx);
+  leaf.from = ps_exp_asinh((-leaf.half_sides - leaf.foot) / leaf.heights);
+  vec2 steps = log2(ps_exp_asinh((leaf.half_sides - leaf.foot) / leaf.heights) / leaf.from);
+  bool is_leaf = node.first < 0 && look.along > 0.5;
+  leaf.parts = is_leaf ? ivec2(clamp(ceil(PS_FINENESS * 0.69314718 * steps), 1.0, float(PS_MOST_PARTS))) : ivec2(1);
+  leaf.factor = exp2(steps / vec2(leaf.parts));
+  return leaf;
 }
 
 void main()
@@ -156,84 +206,90 @@ void main()
     ps_left[i] = 0.0;
   }
   PsGathered sum = PsGathered(vec3(0.0), 0.0, vec3(0.0));
-  int stack[PS_STACK];
-  stack[0] = u.root;
-  int size = 1, opened = 0;
-  while (size > 0) {
-    size--;
-    int number = stack[size];
-    PsNode node = ps_node(number);
-    vec3 offset = node.position - place.xyz;
-    float height = dot(offset, n);
-    if (height + node.radius <= 0.0) {
-      continue;
-    }
-    float d2 = max(dot(offset, offset), 1e-36), d = sqrt(d2);
-    vec3 local = vec3(dot(offset, tangent), dot(offset, across), max(height, 0.0)) / d;
-    float cell = ps_cell_solid_angle(local);
-    float largest = min(PS_PI * node.radius * node.radius, 2.0 * node.area) / d2;
-    opened++;
-    if (node.first >= 0 && opened < PS_MOST_NODES && (d < 1.5 * node.radius || largest > u.coarseness * cell * ps_sameness(node)) && size < PS_STACK - 8) {
-      // Where the receiver lies, seen from the node; the children there come first, those opposite last.
-      int own = (offset.x < 0.0 ? 1 : 0) | (offset.y < 0.0 ? 2 : 0) | (offset.z < 0.0 ? 4 : 0);
-      PS_PUSH(7) PS_PUSH(6) PS_PUSH(5) PS_PUSH(4) PS_PUSH(3) PS_PUSH(2) PS_PUSH(1) PS_PUSH(0)
-      continue;
-    }
-    PsNodeLook look = ps_node_look(number, node);
-    // How high it rises above its middle: as far as it is tilted.
-    float upright = look.along * dot(look.axis, n);
-    float tilt = node.radius * sqrt(clamp(1.0 - upright * upright, 0.0, 1.0));
-    if (height + tilt <= PS_ABOVE * node.radius) {
-      continue;
-    }
-    // A leaf that is near is a rectangle, of which parts are looked at, the smaller the nearer they are: x = h sinh(t) has
-    // steps of t that look alike from a height h above 0.
-    ivec2 parts = ivec2(1);
-    vec3 along = vec3(0.0), beside = vec3(0.0);
-    vec2 foot = vec2(0.0), heights = vec2(1.0), from = vec2(0.0), until = vec2(0.0);
-    vec2 half_sides = vec2(0.0);
-    vec3 middle = offset;
-    bool triangle = false;
-    float side_length = sqrt(node.area);
-    if (node.first < 0 && look.along > 0.5) {
-      vec3 f = look.axis;
-      vec3 first = normalize(abs(f.z) < 0.7 ? vec3(f.y, -f.x, 0.0) : vec3(0.0, f.z, -f.y));
-      PsLeafEdge edge = ps_leaf_edge(node);
-      along = edge.turn.x * first + edge.turn.y * cross(f, first);
-      beside = cross(f, along);
-      triangle = edge.half_of_it;
-      half_sides = (triangle ? 0.70710678 : 0.5) * side_length * vec2(edge.ratio, 1.0 / edge.ratio);
-      // The middle of a triangle is a third of a half side away from that of its rectangle.
-      middle += triangle ? (half_sides.x * along + half_sides.y * beside) / 3.0 : vec3(0.0);
-      foot = -vec2(dot(middle, along), dot(middle, beside));
-      vec2 off = max(abs(foot) - half_sides, 0.0);
-      float least = node.first == -1 ? PS_LEAST_OF_ROUGH : PS_LEAST_HEIGHT;
-      float above_it = max(abs(dot(f, offset)), least * side_length);
-      heights = sqrt(above_it * above_it + off.yx * off.yx);
-      from = asinh((-half_sides - foot) / heights);
-      until = asinh((half_sides - foot) / heights);
-      parts = ivec2(clamp(ceil(PS_FINENESS * (until - from)), 1.0, float(PS_MOST_PARTS)));
-    }
-    for (int part = 0; part < parts.x * parts.y; part++) {
-      vec2 number = vec2(part % parts.x, part / parts.x);
-      vec2 low = heights * sinh(mix(from, until, number / vec2(parts)));
-      vec2 high = heights * sinh(mix(from, until, (number + 1.0) / vec2(parts)));
-      bool whole_leaf = parts.x * parts.y == 1;
-      vec2 where = foot + 0.5 * (low + high), sides = high - low;
+  // Of the latest node that was opened: its first child, which octants it has children in, which of these are left, in the order
+  // of the walk, and the octant that the receiver is in. On the stack: those before that have some left.
+  int first = u.root, there = 1, left = 1, own = 0;
+  int firsts[PS_STACK], octants[PS_STACK];
+  int size = 0, opened = 0;
+  // Software rasterisers take both ways of each branch, and loops once more if they end before their last line: what is dear, to
+  // see a piece, stands but once, and waits until all that run together have one.
+  int number = 0, part = 0, count = 0;
+  float tilt = 0.0;
+  vec3 offset = vec3(0.0);
+  vec2 low_exp = vec2(1.0);
+  PsNode node;
+  PsNodeLook look;
+  PsLeaf leaf;
+  do {
+    int turns = 0;
+    do {
+      if (part >= count && left != 0) {
+        int k = bitCount((left & -left) - 1);
+        left &= left - 1;
+        number = first + bitCount(there & ((1 << (own ^ k)) - 1));
+        node = ps_node(number);
+        offset = node.position - place.xyz;
+        float height = dot(offset, n), d2 = max(dot(offset, offset), 1e-36), d = sqrt(d2);
+        vec3 local = vec3(dot(offset, tangent), dot(offset, across), max(height, 0.0)) / d;
+        float largest = min(PS_PI * node.radius * node.radius, 2.0 * node.area) / d2, along = ps_along(node);
+        // How far it reaches above its middle, and how high its surface rises: as far as that is tilted.
+        float axis_up = dot(ps_unpack_normal(node.axis), n), upright = along * axis_up;
+        float reach = ps_thickness(node) * abs(axis_up) + sqrt(max(1.0 - axis_up * axis_up, 0.0));
+        bool above = height + min(reach, 1.0) * node.radius > PS_LOW * d;
+        bool coarse = d < 1.5 * node.radius || largest > u.coarseness * ps_cell_solid_angle(local) * ps_sameness(along);
+        opened += above ? 1 : 0;
+        tilt = node.radius * sqrt(clamp(1.0 - upright * upright, 0.0, 1.0));
+        part = 0;
+        count = 0;
+        if (above && node.first >= 0 && opened < PS_MOST_NODES && coarse && size < PS_STACK) {
+          if (left != 0) {
+            firsts[size] = first;
+            octants[size] = there | left << 8 | own << 16;
+            size++;
+          }
+          first = node.first;
+          there = node.bits & 255;
+          own = (offset.x < 0.0 ? 1 : 0) | (offset.y < 0.0 ? 2 : 0) | (offset.z < 0.0 ? 4 : 0);
+          left = ps_in_order(there, own);
+        }
+        else {
+          count = above && height + tilt > PS_ABOVE * node.radius ? 1 : 0;
+        }
+        if (left == 0 && size > 0) {
+          size--;
+          first = firsts[size];
+          there = octants[size] & 255;
+          left = octants[size] >> 8 & 255;
+          own = octants[size] >> 16;
+        }
+      }
+      turns++;
+    } while (part >= count && left != 0 && turns < PS_TURNS);
+    if (part < count) {
+      if (part == 0) {
+        look = ps_node_look(number, node);
+        leaf = ps_leaf(node, look, offset);
+        count = leaf.parts.x * leaf.parts.y;
+        low_exp = leaf.from;
+      }
+      bool whole_leaf = count == 1;
+      vec2 high_exp = low_exp * leaf.factor;
+      vec2 low = 0.5 * leaf.heights * (low_exp - 1.0 / low_exp), high = 0.5 * leaf.heights * (high_exp - 1.0 / high_exp);
+      part++;
+      bool row_ends = part % leaf.parts.x == 0;
+      low_exp = row_ends ? vec2(leaf.from.x, high_exp.y) : vec2(high_exp.x, low_exp.y);
+      vec2 where = leaf.foot + 0.5 * (low + high), sides = high - low;
       float area = whole_leaf ? node.area : sides.x * sides.y;
-      if (triangle && !whole_leaf) {
+      if (leaf.triangle && !whole_leaf) {
         // What of the part lies within the triangle.
-        float begins = dot((foot + low) / half_sides + 1.0, vec2(0.5)), ends = dot((foot + high) / half_sides + 1.0, vec2(0.5));
+        float begins = dot((leaf.foot + low) / leaf.half_sides + 1.0, vec2(0.5)), ends = dot((leaf.foot + high) / leaf.half_sides + 1.0, vec2(0.5));
         float within = clamp((1.0 - begins) / (ends - begins), 0.0, 1.0);
         area *= within < 0.5 ? 2.0 * within * within : 1.0 - 2.0 * (1.0 - within) * (1.0 - within);
       }
-      vec3 to = whole_leaf ? offset : middle + where.x * along + where.y * beside;
-      float rises = dot(to, n), of_part = whole_leaf ? tilt : tilt * max(sides.x, sides.y) / side_length;
+      vec3 to = whole_leaf ? offset : leaf.middle + where.x * leaf.along + where.y * leaf.beside;
+      float rises = dot(to, n), of_part = whole_leaf ? tilt : tilt * max(sides.x, sides.y) * inversesqrt(node.area);
       float top = rises + of_part;
-      if (top <= 0.0) {
-        continue;
-      }
-      float above = smoothstep(0.0, max(2.0 * of_part, 1e-30), top);
+      float above = top > 0.0 ? smoothstep(0.0, max(2.0 * of_part, 1e-30), top) : 0.0;
       float away2 = max(dot(to, to), 1e-36), away = sqrt(away2);
       float signed_area = -dot(look.facing, to) / away, toward = -dot(look.axis, to) / away;
       float both = max(look.along * abs(toward) + 0.5 * (1.0 - look.along), abs(signed_area));
@@ -244,11 +300,13 @@ void main()
       seen.back = (both - signed_area) * angle;
       seen.direction = normalize(vec3(dot(to, tangent), dot(to, across), max(rises, 0.25 * top)));
       seen.radiance = toward > 0.0 ? look.before : look.behind;
-      ps_deposit(sum, seen, look, lobe);
+      if (top > 0.0) {
+        ps_deposit(sum, seen, look, lobe);
+      }
     }
-  }
+  } while (part < count || left != 0);
 
-  float whole = 0.0, whole_lobe = 0.0, open_lobe = 0.0;
+  float of_sky = 0.0, whole = 0.0, whole_lobe = 0.0, open_lobe = 0.0;
   for (int y = 0; y < PS_CELLS; y++) {
     for (int x = 0; x < PS_CELLS; x++) {
       float weight = 0.0, angle = 0.0;
@@ -280,11 +338,16 @@ void main()
         sky = ps_environment_radiance(ps_image_from_view(world), PS_SKY_ROUGHNESS);
       }
 #endif
-      sum.diffuse += sky * left_weight;
+      sky *= u.sky * left_weight;
+      sum.diffuse += sky;
+      of_sky += dot(sky, vec3(1.0 / 3.0));
     }
   }
 #ifdef PS_GLOSSY
   out_glossy = vec4(sum.glossy, open_lobe) / max(whole_lobe, 1e-30);
+#endif
+#ifdef PS_BOUNCES
+  sum.nearness = of_sky;
 #endif
   out_diffuse = vec4(sum.diffuse, sum.nearness) / whole;
 }

@@ -27,7 +27,9 @@ MOST_PARTS = 1 << 20  # of all triangles of a mesh
 SLIVER = 8.0  # square of the longest edge over the area, from which on a triangle is cut to the length of its samples
 TURNED_ONE_WAY = 0.9  # length of the mean of unit normals, below which triangles are not taken together
 COMPACT = 0.5  # variance of places over the area, above which they are not either: of a square it is a sixth
-REFINEMENTS, FINER = 4, 4.0  # times that groups of triangles turned several ways are divided; into so many
+WIDE = 0.5  # variance of places over the square of the spacing, above which they are not in any case
+REFINEMENTS, FINER = 4, 4.0  # times that groups of triangles are divided; into so many
+ALIKE = 2  # times that those are which are turned several ways
 # Of places (3, n): how far apart samples are to be there, and how far away the viewer is, (n,) each.
 Spacing = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
@@ -77,7 +79,8 @@ def light_samples(mesh: Mesh, spacing: Spacing) -> LightSamples:
     many, few = np.flatnonzero(split_up), np.flatnonzero(~split_up & (area > 0))
     split = _split(parts.take(many), corners[:, :, many], worth[many])
     pieces = area[many][split.own] * split.share
-    merged = _merged(middle[:, few], normal[:, few], area[few], worth[few])
+    small = np.bincount(parts.triangle, worth)[parts.triangle[few]] < 1
+    merged = _merged(middle[:, few], normal[:, few], area[few], worth[few], small)
     together = parts.take(few[merged.row])
     samples = Samples(
         "AREA",
@@ -186,45 +189,74 @@ class _Merged:
     area: np.ndarray  # (N,)
 
 
-def _merged(middle: np.ndarray, normal: np.ndarray, area: np.ndarray, worth: np.ndarray) -> _Merged:
-    """Takes triangles together that are worth less than one sample each. (3, M) middles and normals, (M,) areas."""
+def _merged(middle: np.ndarray, normal: np.ndarray, area: np.ndarray, worth: np.ndarray, small: np.ndarray) -> _Merged:
+    """Takes triangles together that are worth less than one sample each.
+
+    (3, M) middles and normals, (M,) areas. `small` (M,) bool: no parts of triangles that are worth more.
+    """
     if len(area) == 0:
         none = np.zeros((0, 3))
         return _Merged(np.zeros(0, np.int64), none, none, np.zeros(0))
     order, _ = sorted_by_code(morton_codes(middle.T.astype(np.float32))[0])
-    area, worth = area[order], worth[order].copy()
     centre = middle.mean(axis=1, keepdims=True)
-    middle = middle[:, order] - centre
-    columns = np.vstack([area, middle * area, normal[:, order] * area, dot(middle, middle) * area])
+    middle = middle - centre
+    columns = np.vstack([area, middle * area, normal * area, dot(middle, middle) * area, worth])[:, order]
+    worth = worth[order]
+    kind, mixed = np.zeros(len(order), np.int64), np.zeros(len(order), bool)
     for again in range(REFINEMENTS + 1):
         group = np.floor(np.cumsum(worth) - 0.5 * worth)
-        new = np.append(True, group[1:] != group[:-1])
-        first, sums, length, apart = _groups(columns, new)
-        if not apart.any():
+        new = np.append(True, (group[1:] != group[:-1]) | (kind[1:] != kind[:-1]))
+        groups = _groups(columns, new)
+        turned = groups.length < TURNED_ONE_WAY
+        apart = turned | (groups.spread > COMPACT * groups.sums[0])
+        if again >= ALIKE:
+            # They tile nothing evenly, and need not be compact.
+            apart[mixed[groups.first]] = False
+            apart |= mixed[groups.first] & (groups.spread > WIDE * groups.sums[0] / groups.sums[8])
+        apart &= groups.several
+        if again == REFINEMENTS or not apart.any():
             break
-        several = apart[np.cumsum(new) - 1]
-        if again < REFINEMENTS:
-            worth[several] = np.minimum(worth[several] * FINER, 1.0)
-        else:
-            # What is left stays by itself.
-            first, sums, length, _ = _groups(columns, new | several)
+        number = np.cumsum(new) - 1
+        finer = apart[number]
+        if again == 0:
+            # Small triangles that are turned several ways are taken apart by the side that they are turned to.
+            mixed = finer & turned[number] & small[order]
+            finer &= ~mixed
+            facing = columns[4:7]
+            axis = np.abs(facing).argmax(axis=0)
+            side = 2 * axis + (facing[axis, np.arange(len(axis))] < 0)
+            kind = np.where(mixed, 6 * number + side + 1, 0)
+            rows = np.argsort(kind, kind="stable")
+            order, kind, mixed, finer = order[rows], kind[rows], mixed[rows], finer[rows]
+            worth, columns = worth[rows], columns[:, rows]
+        worth[finer] = np.minimum(worth[finer] * FINER, 1.0)
+    # What is left stays by itself.
+    groups = _groups(columns, new | apart[np.cumsum(new) - 1])
+    first, sums = groups.first, groups.sums
     own = normal[:, order[first]]
-    facing = np.where(length > 1e-3 * sums[0], sums[4:7] / np.maximum(length, 1e-300), own)
+    facing = np.where(groups.length > 1e-3, sums[4:7] / np.maximum(groups.length * sums[0], 1e-300), own)
     middle_row = (first + np.append(first[1:], len(order))) // 2
     return _Merged(order[middle_row], (sums[1:4] / sums[0] + centre).T, facing.T, sums[0])
 
 
-def _groups(columns: np.ndarray, new: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Groups of triangles: where they begin, sums over them, lengths of summed normals, and which are not to be groups.
+@record
+class _Groups:
+    """n groups of triangles."""
 
-    columns (8, M): area, and times it place, normal and squared place. new (M,) bool: where groups begin.
-    """
+    first: np.ndarray  # (n,) int64: where they begin
+    sums: np.ndarray  # (9, n): of area, and times it place, normal and squared place, and of worth
+    length: np.ndarray  # (n,): of the mean normal
+    spread: np.ndarray  # (n,): variance of places
+    several: np.ndarray  # (n,) bool: they hold more than one
+
+
+def _groups(columns: np.ndarray, new: np.ndarray) -> _Groups:
+    """columns (9, M): as _Groups.sums, of triangles. new (M,) bool: where groups begin."""
     first = np.flatnonzero(new)
     sums = np.add.reduceat(columns, first, axis=1)
-    length = np.sqrt(dot(sums[4:7], sums[4:7]))
+    length = np.sqrt(dot(sums[4:7], sums[4:7])) / sums[0]
     spread = sums[7] / sums[0] - dot(sums[1:4], sums[1:4]) / sums[0] ** 2
-    several = np.diff(np.append(first, len(new))) > 1
-    return first, sums, length, several & ((length < TURNED_ONE_WAY * sums[0]) | (spread > COMPACT * sums[0]))
+    return _Groups(first, sums, length, spread, np.diff(np.append(first, len(new))) > 1)
 
 
 def _ellipses(weights: np.ndarray, scale: np.ndarray) -> np.ndarray:

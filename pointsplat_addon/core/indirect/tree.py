@@ -13,6 +13,7 @@ import numpy as np
 from ..numeric.morton import DEPTH, morton_codes, sorted_by_code
 from ..numeric.record import record
 from ..numeric.segments import owners, starts
+from ..numeric.vectors import dot
 from .surfels import Surfels
 
 SQUARINGS = 3  # of the matrix whose largest eigenvector is looked for
@@ -33,14 +34,16 @@ class LightTree:
         np.ndarray
     )  # (M, 3) float32, unit, to the side that `facing` is on: largest eigenvector of the mean of normals' products
     along: np.ndarray  # (M,) float32: 1 where all normals lie along the axis, 0 where they are turned evenly
+    thickness: np.ndarray  # (M,) float32: how far along the axis, either way, all its surfels' disks lie at most
     scattered: np.ndarray  # (M,) float32: share of the area that belongs to leaves and hairs
     first: np.ndarray  # (M,) int32: first child; -1: a leaf
     octants: np.ndarray  # (M,) uint8: which of the eight children there are, bit by bit
     edge: np.ndarray  # (M, 3) float32: of leaves that are rectangles or triangles, as Surfels.edge; else (0, 0, 0)
     half: np.ndarray  # (M,) bool: of leaves, as Surfels.half
     leaf: np.ndarray  # (N,) int32: the node of each surfel
-    # Levels of inner nodes, deepest first: the nodes (n,), how many children each has (n,), and all of these (c,).
-    levels: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]
+    turned: np.ndarray  # (M,) bool: whether its axis points away from the side that its parent's points to
+    # Levels of inner nodes, deepest first: the nodes (n,), how many children each has (n,), and all of these.
+    levels: tuple[tuple[np.ndarray, np.ndarray, slice], ...]
 
     def __len__(self) -> int:
         return len(self.area)
@@ -50,25 +53,26 @@ class LightTree:
 
         What one sees from where the node's axis points, from the other side, and of surfaces from behind.
         """
-        area = surfels.area.astype(np.float64)[:, None]
-        round_ones = ~surfels.normal.any(axis=1)[:, None]
-        behind = np.where(round_ones | surfels.scattered[:, None], area, 0.0)
-        of_behind = np.where(round_ones, outside, inside)
-        columns = [area * outside, area, behind * of_behind, behind, area * inside, area]
-        total = np.zeros((len(self), 12))
-        np.add.at(total, self.leaf, np.column_stack(columns))
+        area = surfels.area
+        round_ones = ~surfels.normal.any(axis=1)
+        behind = np.where(round_ones | surfels.scattered, area, 0)
+        of_behind = np.where(round_ones[:, None], outside, inside)
+        # Rows: of three sides, red, green, blue and area.
+        total = np.empty((12, len(self)), np.float32)
+        for side, (light, weight) in enumerate(((outside, area), (of_behind, behind), (inside, area))):
+            for row, values in enumerate((*(light.T * weight), weight)):
+                total[4 * side + row] = np.bincount(self.leaf, values, len(self))
         for nodes, count, children in self.levels:
-            turned = (self.axis[children] * np.repeat(self.axis[nodes], count, axis=0)).sum(axis=1) < 0
-            of_children = total[children]
-            of_children[turned, :8] = of_children[turned][:, [4, 5, 6, 7, 0, 1, 2, 3]]
-            total[nodes] = np.add.reduceat(of_children, starts(count))
-        sums = total.reshape(len(self), 3, 4).transpose(1, 0, 2).copy()
+            of_children = total[:, children].copy()
+            turned = self.turned[children]
+            of_children[:8, turned] = np.roll(of_children[:8, turned], 4, axis=0)
+            total[:, nodes] = np.add.reduceat(of_children, starts(count), axis=1)
+        sums = total.reshape(3, 4, len(self))
         # A side that nothing is turned to looks like the other.
-        nothing = sums[..., 3] == 0
-        sums[1, nothing[1]] = sums[0, nothing[1]]
-        sums[0, nothing[0]] = sums[1, nothing[0]]
-        sums[2, nothing[2]] = sums[0, nothing[2]]
-        return (sums[..., :3] / np.maximum(sums[..., 3:], 1e-300)).astype(np.float32)
+        nothing = sums[:, 3] == 0
+        for side, other in ((1, 0), (0, 1), (2, 0)):
+            sums[side][:, nothing[side]] = sums[other][:, nothing[side]]
+        return (sums[:, :3] / np.maximum(sums[:, 3:], np.float32(1e-37))).transpose(0, 2, 1)
 
 
 def build_tree(surfels: Surfels) -> LightTree:
@@ -78,7 +82,7 @@ def build_tree(surfels: Surfels) -> LightTree:
     # Surfels in one finest cell share a leaf.
     new = np.append(True, code[1:] != code[:-1])
     begin = np.flatnonzero(new)
-    sums = [np.add.reduceat(_columns(surfels, order), begin)]
+    sums = [np.add.reduceat(_columns(surfels, order), begin, axis=1)]
     radii = [_leaf_radius(surfels, order, sums[0], begin)]
     masks = [np.zeros(len(begin), np.uint8)]
     levels: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
@@ -97,42 +101,42 @@ def build_tree(surfels: Surfels) -> LightTree:
             children = np.repeat(several, count)
             levels.append((parents, count[several], number[children]))
             masks.append(np.bitwise_or.reduceat(np.uint8(1) << octant, first)[several])
-            merged, reach = _merged(own_sums[children], own_radii[children], count[several])
+            merged, reach = _merged(own_sums[:, children], own_radii[children], count[several])
             sums.append(merged)
             radii.append(reach)
-            number, own_sums, own_radii = number[kept], own_sums[kept], own_radii[kept]
-            number[several], own_sums[several], own_radii[several] = parents, merged, reach
+            number, own_sums, own_radii = number[kept], own_sums[:, kept], own_radii[kept]
+            number[several], own_sums[:, several], own_radii[several] = parents, merged, reach
     leaf = np.empty(len(order), np.int64)
     leaf[order] = np.cumsum(new) - 1
-    return _placed(surfels, np.concatenate(sums), np.concatenate(radii), np.concatenate(masks), levels, leaf)
+    return _placed(surfels, np.concatenate(sums, axis=1), np.concatenate(radii), np.concatenate(masks), levels, leaf)
 
 
 def _columns(surfels: Surfels, order: np.ndarray) -> np.ndarray:
-    """(N, 14) float64: area, and times it position, normal, whether they are scattered, and products of normals."""
-    normal = surfels.normal[order].astype(np.float64)
-    columns = np.column_stack(
-        [
-            np.ones(len(order)), surfels.position[order], normal, surfels.scattered[order],
-            *(normal[:, a] * normal[:, b] for a, b in PAIRS),
-        ]
-    )  # fmt: skip
-    return columns * surfels.area[order].astype(np.float64)[:, None]
+    """(14, N) float64: area, and times it position, normal, whether they are scattered, and products of normals."""
+    area, normal = surfels.area[order].astype(np.float64), surfels.normal[order].T.astype(np.float64)
+    found = np.empty((14, len(order)))
+    found[AREA] = 1
+    found[POSITION], found[NORMAL], found[SCATTERED] = surfels.position[order].T, normal, surfels.scattered[order]
+    for row, (a, b) in enumerate(PAIRS, PRODUCTS.start):
+        found[row] = normal[a] * normal[b]
+    found *= area
+    return found
 
 
 def _leaf_radius(surfels: Surfels, order: np.ndarray, sums: np.ndarray, begin: np.ndarray) -> np.ndarray:
     """(L,) float64: of balls around the leaves' middles that hold the disks of their surfels."""
     own = owners(np.diff(np.append(begin, len(order))))
-    away = surfels.position[order] - (sums[:, POSITION] / sums[:, :1])[own]
-    reach = np.sqrt((away**2).sum(axis=1)) + np.sqrt(surfels.area[order] / np.pi)
+    away = surfels.position[order].T - (sums[POSITION] / sums[AREA])[:, own]
+    reach = np.sqrt(dot(away, away)) + np.sqrt(surfels.area[order] / np.pi)
     return np.maximum.reduceat(reach, begin)
 
 
 def _merged(sums: np.ndarray, radii: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sums (n, 14) and radii (n,) of nodes with so many (n,) of the children."""
+    """Sums (14, n) and radii (n,) of nodes with so many (n,) of the children."""
     first = starts(count)
-    merged = np.add.reduceat(sums, first)
-    middle = np.repeat(merged[:, POSITION] / merged[:, :1], count, axis=0)
-    apart = np.sqrt(((sums[:, POSITION] / sums[:, :1] - middle) ** 2).sum(axis=1)) + radii
+    merged = np.add.reduceat(sums, first, axis=1)
+    away = sums[POSITION] / sums[AREA] - np.repeat(merged[POSITION] / merged[AREA], count, axis=1)
+    apart = np.sqrt(dot(away, away)) + radii
     return merged, np.maximum.reduceat(apart, first)
 
 
@@ -145,51 +149,76 @@ def _placed(
     leaf: np.ndarray,
 ) -> LightTree:
     """The tree of nodes that are numbered as they were made, in its order: children side by side."""
-    number = np.concatenate([children for *_, children in levels] + [np.array([len(sums) - 1])])
-    place = np.empty(len(sums), np.int64)
-    place[number] = np.arange(len(sums))
-    first, begin = np.full(len(sums), -1, np.int32), 0
-    for parents, count, _ in levels:
+    size = len(radii)
+    number = np.concatenate([children for *_, children in levels] + [np.array([size - 1])])
+    place = np.empty(size, np.int64)
+    place[number] = np.arange(size)
+    first, placed, end = np.full(size, -1, np.int32), [], 0
+    for parents, count, children in levels:
+        begin, end = end, end + len(children)
         first[place[parents]] = begin + starts(count)
-        begin += int(count.sum())
-    means = sums[number] / sums[number, :1]
-    axis, along = _axes(means[:, PRODUCTS])
-    axis[(axis * means[:, NORMAL]).sum(axis=1) < 0] *= -1
+        placed.append((place[parents], count, slice(begin, end)))
+    means = sums[:, number]
+    area = means[AREA].copy()
+    means /= area
+    axis, along = _axes(means[PRODUCTS])
+    axis *= np.where(dot(axis, means[NORMAL]) < 0, -1, 1)
+    turned = np.zeros(size, bool)
+    for nodes, count, children in placed:
+        turned[children] = dot(axis[:, children], np.repeat(axis[:, nodes], count, axis=1)) < 0
     f, leaf = np.float32, place[leaf]
-    edge = np.zeros((len(sums), 3), f)
-    half = np.zeros(len(sums), bool)
+    held = np.bincount(leaf, minlength=size)
+    radii, position = radii[number], means[POSITION]
+    flat = np.zeros(size, bool)
+    flat[leaf] = surfels.normal.any(axis=1)
+    thickness = np.where(flat & (held == 1), 0.0, radii)
+    for nodes, count, children in placed:
+        of_parent = np.repeat(axis[:, nodes], count, axis=1)
+        away = np.abs(dot(position[:, children] - np.repeat(position[:, nodes], count, axis=1), of_parent))
+        tilted = np.minimum(np.abs(dot(axis[:, children], of_parent)), 1.0)
+        reach = thickness[children] * tilted + radii[children] * np.sqrt(1 - tilted * tilted)
+        highest = np.maximum.reduceat(away + np.minimum(reach, radii[children]), starts(count))
+        thickness[nodes] = np.minimum(highest, radii[nodes])
+    edge = np.zeros((size, 3), f)
+    half = np.zeros(size, bool)
     edge[leaf], half[leaf] = surfels.edge, surfels.half
-    edge[np.bincount(leaf, minlength=len(sums)) > 1] = 0
+    edge[held > 1] = 0
     return LightTree(
-        position=means[:, POSITION].astype(f),
-        radius=radii[number].astype(f),
-        facing=means[:, NORMAL].astype(f),
-        area=sums[number, AREA].astype(f),
-        axis=axis.astype(f),
+        position=means[POSITION].T.astype(f),
+        radius=radii.astype(f),
+        facing=means[NORMAL].T.astype(f),
+        area=area.astype(f),
+        axis=axis.T.astype(f),
         along=along.astype(f),
-        scattered=means[:, SCATTERED].astype(f),
+        thickness=thickness.astype(f),
+        scattered=means[SCATTERED].astype(f),
         first=first,
         octants=masks[number],
         edge=edge,
         half=half,
         leaf=leaf.astype(np.int32),
-        levels=tuple((place[parents], count, place[children]) for parents, count, children in levels),
+        turned=turned,
+        levels=tuple(placed),
     )
 
 
 def _axes(products: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Axes (M, 3) along which most normals lie, and how far they all do, (M,), from means of their products (M, 6)."""
-    matrix = np.empty((len(products), 3, 3))
-    for column, (a, b) in zip(products.T, PAIRS, strict=True):
-        matrix[:, a, b] = matrix[:, b, a] = column
-    power = matrix
+    """Axes (3, M) along which most normals lie, and how far they all do, (M,), from means of their products (6, M)."""
+    power = products
     for _ in range(SQUARINGS):
-        power = power @ power
-        power /= np.maximum(np.trace(power, axis1=1, axis2=2), 1e-300)[:, None, None]
-    largest = np.diagonal(power, axis1=1, axis2=2).argmax(axis=1)
-    axis = power[np.arange(len(power)), largest]
-    length = np.sqrt((axis**2).sum(axis=1, keepdims=True))
-    axis = np.where(length > 0, axis / np.maximum(length, 1e-300), (0.0, 0.0, 1.0))
-    value = np.einsum("ni,nij,nj->n", axis, matrix, axis)
+        xx, yy, zz, xy, xz, yz = power
+        power = np.stack([
+            xx * xx + xy * xy + xz * xz, xy * xy + yy * yy + yz * yz, xz * xz + yz * yz + zz * zz,
+            xy * (xx + yy) + xz * yz, xz * (xx + zz) + xy * yz, yz * (yy + zz) + xy * xz,
+        ])  # fmt: skip
+        power /= np.maximum(power[:3].sum(axis=0), 1e-300)
+    xx, yy, zz, xy, xz, yz = power
+    # The longest column.
+    axis = np.where(xx >= np.maximum(yy, zz), (xx, xy, xz), np.where(yy >= zz, (xy, yy, yz), (xz, yz, zz)))
+    length = np.sqrt(dot(axis, axis))
+    axis = np.where(length > 0, axis / np.maximum(length, 1e-300), ((0.0,), (0.0,), (1.0,)))
+    x, y, z = axis
+    xx, yy, zz, xy, xz, yz = products
+    value = x * x * xx + y * y * yy + z * z * zz + 2 * (x * y * xy + x * z * xz + y * z * yz)
     # Of normals that are turned evenly it is a third of the trace.
     return axis, np.clip(1.5 * value - 0.5, 0.0, 1.0)

@@ -15,12 +15,21 @@ from ...core.numeric.morton import morton_codes
 from ...core.numeric.record import record
 from ...core.scene.scene import Scene
 from ...core.scene.world import World
+from ...shading.interface import Interface
 from ..device.protocol import Device, Texture
-from ..passes.indirect.gather import BOUNCE_CELLS, COARSENESS, GATHER_BLOCK, Gather, gather_program
-from ..passes.indirect.pages import NODE_WIDTH, RECEIVER_WIDTH, node_rows, paged_texture, receiver_texture
+from ..passes.indirect.gather import COARSENESS, GATHER_BLOCK, Gather, gather_program
+from ..passes.indirect.pages import (
+    NODE_WIDTH,
+    RECEIVER_WIDTH,
+    node_shapes,
+    paged_texture,
+    receiver_texture,
+    with_radiance,
+)
 from ..passes.indirect.surfel_light import lit_surfels
 
 MOST_BOUNCE_RECEIVERS = 3000  # of either side, where light is gathered for further bounces
+FEWER = 2  # times fewer receivers gather all that comes after the first bounce of lamps' light, which is even
 LEAST_GAIN = 0.01  # of the light of surfels, below which what a bounce brings is the last
 THINNER = 0.25  # along the normal
 ALIKE = 0.9  # cosine between normals of surfels and of receivers next to theirs that light them, too
@@ -105,7 +114,6 @@ class IndirectLight:
         self,
         position: np.ndarray,
         normal: np.ndarray,
-        cells: int,
         sky: dict[str, Texture],
         mirror: np.ndarray | None = None,
         sharpness: np.ndarray | None = None,
@@ -116,29 +124,39 @@ class IndirectLight:
         of inverse distances; what lobes around mirrored views (N, 3), so sharp (N,), show of surfaces, and how much of
         them is open.
         """
-        device, glossy, count = self._device, sharpness is not None, len(position)
-        rows = coherent_rows(position, normal)
-        arrays = (
-            position, normal, normal if mirror is None else mirror,
-            np.ones(count, np.float32) if sharpness is None else sharpness,
-        )  # fmt: skip
+        glossy, count = sharpness is not None, len(position)
+        program = gather_program(self._names, glossy)
+        mirror = normal if mirror is None else mirror
+        sharpness = np.ones(count, np.float32) if sharpness is None else sharpness
+        return self._gathered(program, (position, normal, mirror, sharpness), 1.0, sky)
+
+    def bounced(self, position: np.ndarray, normal: np.ndarray, sky: float, pictures: dict[str, Texture]) -> np.ndarray:
+        """Gathers less finely, by `sky` times the world's light: (N, 4) float32, irradiance over pi and the mean of
+        what the world has in it. Otherwise as `gathered`."""
+        program = gather_program(self._names, False, bounces=True)
+        return self._gathered(program, (position, normal, normal, np.ones(len(position))), sky, pictures)
+
+    def _gathered(
+        self, program: Interface, receivers: tuple[np.ndarray, ...], sky: float, pictures: dict[str, Texture]
+    ) -> np.ndarray:
+        device = self._device
+        rows = coherent_rows(*receivers[:2])
         texels = RECEIVER_WIDTH * (int(rows.max(initial=0)) // RECEIVER_WIDTH + 1)
-        laid = [np.zeros((texels, *array.shape[1:]), np.float32) for array in arrays]
-        for to, of in zip(laid, arrays, strict=True):
+        laid = [np.zeros((texels, *array.shape[1:]), np.float32) for array in receivers]
+        for to, of in zip(laid, receivers, strict=True):
             to[rows] = of
-        receivers = receiver_texture(device, *laid)
-        program = gather_program(self._names, glossy, cells)
-        record = GATHER_BLOCK.record(root=self._root, coarseness=COARSENESS)
-        textures = self._uploaded() | sky
+        texture = receiver_texture(device, *laid)
+        record = GATHER_BLOCK.record(root=self._root, coarseness=COARSENESS, sky=sky)
+        textures = self._uploaded() | pictures
         wanted = {name for _, name in program.samplers}
         textures = {name: texture for name, texture in textures.items() if name in wanted}
-        made = Gather(device, receivers, program, record, textures)
+        made = Gather(device, texture, program, record, textures)
         try:
-            found = (made.diffuse, made.glossy) if glossy else (made.diffuse,)
+            found = (made.diffuse, made.glossy) if len(program.outputs) > 1 else (made.diffuse,)
             return np.concatenate([device.read(item).reshape(-1, 4)[rows] for item in found], axis=1)
         finally:
             made.release()
-            receivers.release()
+            texture.release()
 
     def _uploaded(self) -> dict[str, Texture]:
         """The nodes and the world's colour, by sampler name."""
@@ -191,6 +209,7 @@ class _Baker:
         self._lamps = tuple(name for name in lighting if name not in self._names)
         self._textures = textures
         self._tree = build_tree(surfels)
+        self._shapes = node_shapes(self._tree)
 
     def baked(self, bounces: int, check: Callable[[], None]) -> BakedLight:
         surfels = self._surfels
@@ -198,25 +217,39 @@ class _Baker:
         if bounces == 0:
             return self._with(leaving)
         direct = self._direct()
-        receivers = self._receivers()
-        for number in range(bounces):
+        receivers = bounce_receivers(surfels, MOST_BOUNCE_RECEIVERS)
+        at = surfels.take(receivers.rows)
+        # What lamps light is bright in places: it is gathered together with the sky, so that it is a
+        # bounce ahead of what the sky lights.
+        lit = surfels.albedo * direct if bounces > 1 else np.zeros_like(direct)
+        check()
+        found, of_sky = self._gathered(at, surfels.emission + lit, 1.0)
+        total = surfels.emission + surfels.albedo * (direct + receivers.spread(found))
+        # All further light is even, and gathered at fewer.
+        fewer = bounce_receivers(at, MOST_BOUNCE_RECEIVERS // FEWER)
+        some, gain = at.take(fewer.rows), found
+        for number in range(1, bounces):
             check()
-            if number == 0 and not self._names and not leaving.any():
-                found = np.zeros_like(direct)
-            else:
-                found = receivers.spread(self._gathered_at_surfels(leaving, receivers.rows))
-            former, leaving = leaving, surfels.emission + surfels.albedo * (direct + found)
-            gain = leaving - former
-            of_all = leaving.sum(axis=(0, 2))
-            share = float((gain.sum(axis=(0, 2)) / np.maximum(of_all + np.median(of_all), 1e-30)).mean())
-            if number and share < LEAST_GAIN:
+            sends = surfels.albedo * receivers.spread(gain)
+            if number == bounces - 1:
+                sends *= self._not_ahead(at, found, of_sky, lit)
+            if _share(sends, total) < LEAST_GAIN:
                 break
-        return self._with(leaving)
+            gain = fewer.spread(self._gathered(some, sends, 0.0)[0])
+            total = total + surfels.albedo * receivers.spread(gain)
+        return self._with(total)
+
+    def _not_ahead(self, at: Surfels, found: np.ndarray, of_sky: np.ndarray, lit: np.ndarray) -> np.float32:
+        """The share that the sky and what shines has in the first bounce; that of lamps is a bounce ahead."""
+        sends = at.area * at.albedo.mean(axis=1)
+        sky = float((sends * of_sky).sum() / max(float((sends * found.mean(axis=2)).sum()), 1e-30))
+        shines, lamps = (float((self._surfels.area[:, None] * x).sum()) for x in (2 * self._surfels.emission, lit))
+        return np.float32(sky + (1 - sky) * shines / max(shines + lamps, 1e-30))
 
     def _with(self, leaving: np.ndarray) -> BakedLight:
         """`leaving` (2, N, 3): radiance that leaves surfels, outside and inside."""
         radiance = self._tree.radiance(self._surfels, *leaving)
-        return BakedLight(self._surfels.origin, node_rows(self._tree, radiance))
+        return BakedLight(self._surfels.origin, with_radiance(self._shapes, radiance))
 
     def _direct(self) -> np.ndarray:
         """(2, N, 3): irradiance over pi by lamps, outside and inside."""
@@ -229,73 +262,90 @@ class _Baker:
             found[side, rows] += np.float32(share) * lit
         return found
 
-    def _receivers(self) -> BounceReceivers:
-        surfels = self._surfels
-        turned = surfels.normal @ SIDE_AXES.astype(np.float32)
-        face = np.abs(turned).argmax(axis=1)
-        side = 2 * face + (turned[np.arange(len(face)), face] < 0)
-        # Surfels are the larger the farther off they are, and so are the cells that share a receiver. These are
-        # flat, thin along the axis that normals are turned to, so that surfaces behind one another do not share one.
-        whole = surfels.area * np.where(surfels.half, 2, 1)
-        size = np.sqrt(np.maximum(whole, np.percentile(whole, SMALLEST_SHARE)))
-        across = np.exp2(np.ceil(np.log2(size)))[:, None]
-        thin = np.where(np.abs(SIDE_AXES.T[face]) > 0.5, THINNER, 1.0)
-        away = surfels.position - surfels.position.min(axis=0)
-        scale = max((np.count_nonzero(~surfels.closed) + len(surfels)) / MOST_BOUNCE_RECEIVERS, 1.0) ** 0.5
-        while True:
-            at = away / (scale * thin * across)
-            cell = np.floor(at)
-            key = hashed(np.column_stack([cell, side, across]))
-            order = np.argsort(key, kind="stable")
-            new = np.append(True, key[order][1:] != key[order][:-1])
-            open_ones = np.count_nonzero(~surfels.closed[order][new])
-            if np.count_nonzero(new) + open_ones <= MOST_BOUNCE_RECEIVERS or not cell.any():
-                break
-            scale *= 1.25
-        group = np.empty(len(key), np.int64)
-        group[order] = np.cumsum(new) - 1
-        # The surfel nearest to the middle of each.
-        count = np.bincount(group)
-        middle = np.stack([np.bincount(group, column) / count for column in surfels.position.T], axis=1)
-        off = ((surfels.position - middle[group]) ** 2).sum(axis=1)
-        rows = np.lexsort((off, group))[np.cumsum(count) - count]
-        return self._with_neighbours(rows, group, key[order][new], at, face, np.column_stack([side, across]))
-
-    def _with_neighbours(
-        self, rows: np.ndarray, group: np.ndarray, keys: np.ndarray, at: np.ndarray, face: np.ndarray, kind: np.ndarray
-    ) -> BounceReceivers:
-        """Receivers `rows` (R,) of cells with keys (R,), rising, to which surfels of groups (N,) belong. `at` (N, 3):
-        places in cells, in faces (N,) across the axes; `kind` (N, 2): what keys hold beside cells."""
-        normal, number = self._surfels.normal, np.arange(len(group))
-        ahead = np.where(at - np.floor(at) < 0.5, -1.0, 1.0)
-        apart = np.abs(at - np.floor(at) - 0.5)
-        first, second = (face + 1) % 3, (face + 2) % 3
-        others, weights = [group], [(1 - apart[number, first]) * (1 - apart[number, second])]
-        for steps in ((first,), (second,), (first, second)):
-            cell, weight = np.floor(at), np.ones(len(group))
-            for axis in (first, second):
-                moved = any(axis is step for step in steps)
-                cell[number, axis] += ahead[number, axis] if moved else 0
-                weight *= apart[number, axis] if moved else 1 - apart[number, axis]
-            wanted = hashed(np.column_stack([cell, kind]))
-            found = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-            alike = (normal * normal[rows[found]]).sum(axis=1)
-            others.append(found)
-            weights.append(np.where((keys[found] == wanted) & (alike > ALIKE), weight, 0.0))
-        total = np.stack(weights)
-        return BounceReceivers(rows, np.stack(others), (total / total.sum(axis=0)).astype(np.float32))
-
-    def _gathered_at_surfels(self, leaving: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """(2, R, 3): irradiance over pi by sky and surfels, outside and inside, at the surfels `rows`."""
-        found = np.zeros((2, len(rows), 3), np.float32)
-        sky = {name: texture for name, texture in self._textures.items() if name == "ps_environment"}
+    def _gathered(self, surfels: Surfels, leaving: np.ndarray, sky: float) -> tuple[np.ndarray, np.ndarray]:
+        """Irradiance over pi, outside and inside of some surfels, by what leaves all and by `sky` times the world's
+        light: (2, R, 3), and the mean of the world's part, (2, R)."""
+        found = np.zeros((2, len(surfels), 4), np.float32)
+        if not leaving.any() and not (self._names and sky):
+            return found[..., :3], found[..., 3]
+        pictures = {name: texture for name, texture in self._textures.items() if name == "ps_environment"}
         light = IndirectLight(self._device, self._with(leaving), self._scene.world, self._names)
         try:
-            for side, some, position, normal, share in sides(self._surfels.take(rows)):
-                found[side, some] += np.float32(share) * light.gathered(position, normal, BOUNCE_CELLS, sky)[:, :3]
+            for side, some, position, normal, share in sides(surfels):
+                found[side, some] += np.float32(share) * light.bounced(position, normal, sky, pictures)
         finally:
             light.release()
-        return found
+        return found[..., :3], found[..., 3]
+
+
+def _share(sends: np.ndarray, total: np.ndarray) -> float:
+    """The share, mean over colours, that some of the light of surfels (2, N, 3) has in all of it."""
+    of_all = total.sum(axis=(0, 2))
+    return float((sends.sum(axis=(0, 2)) / np.maximum(of_all + np.median(of_all), 1e-30)).mean())
+
+
+def bounce_receivers(surfels: Surfels, most: int) -> BounceReceivers:
+    """Chooses about `most` sides of surfels, at which light is gathered for all."""
+    turned = surfels.normal @ SIDE_AXES.astype(np.float32)
+    face = np.abs(turned).argmax(axis=1)
+    side = 2 * face + (turned[np.arange(len(face)), face] < 0)
+    # Surfels are the larger the farther off they are, and so are the cells that share a receiver. These are
+    # flat, thin along the axis that normals are turned to, so that surfaces behind one another do not share one.
+    whole = surfels.area * np.where(surfels.half, 2, 1)
+    size = np.sqrt(np.maximum(whole, np.percentile(whole, SMALLEST_SHARE)))
+    across = np.exp2(np.ceil(np.log2(size)))[:, None]
+    thin = np.where(np.abs(SIDE_AXES.T[face]) > 0.5, THINNER, 1.0)
+    away = surfels.position - surfels.position.min(axis=0)
+    scale = max((np.count_nonzero(~surfels.closed) + len(surfels)) / most, 1.0) ** 0.5
+    while True:
+        at = away / (scale * thin * across)
+        cell = np.floor(at)
+        key = hashed(np.column_stack([cell, side, across]))
+        order = np.argsort(key, kind="stable")
+        new = np.append(True, key[order][1:] != key[order][:-1])
+        open_ones = np.count_nonzero(~surfels.closed[order][new])
+        if np.count_nonzero(new) + open_ones <= most or not cell.any():
+            break
+        scale *= 1.25
+    group = np.empty(len(key), np.int64)
+    group[order] = np.cumsum(new) - 1
+    # The surfel nearest to the middle of each.
+    count = np.bincount(group)
+    middle = np.stack([np.bincount(group, column) / count for column in surfels.position.T], axis=1)
+    off = ((surfels.position - middle[group]) ** 2).sum(axis=1)
+    rows = np.lexsort((off, group))[np.cumsum(count) - count]
+    return _with_neighbours(surfels.normal, rows, group, key[order][new], at, face, np.column_stack([side, across]))
+
+
+def _with_neighbours(
+    normal: np.ndarray,
+    rows: np.ndarray,
+    group: np.ndarray,
+    keys: np.ndarray,
+    at: np.ndarray,
+    face: np.ndarray,
+    kind: np.ndarray,
+) -> BounceReceivers:
+    """Receivers `rows` (R,) of cells with keys (R,), rising, to which surfels of groups (N,) belong. `at` (N, 3):
+    places in cells, in faces (N,) across the axes; `kind` (N, 2): what keys hold beside cells."""
+    number = np.arange(len(group))
+    ahead = np.where(at - np.floor(at) < 0.5, -1.0, 1.0)
+    apart = np.abs(at - np.floor(at) - 0.5)
+    first, second = (face + 1) % 3, (face + 2) % 3
+    others, weights = [group], [(1 - apart[number, first]) * (1 - apart[number, second])]
+    for steps in ((first,), (second,), (first, second)):
+        cell, weight = np.floor(at), np.ones(len(group))
+        for axis in (first, second):
+            moved = any(axis is step for step in steps)
+            cell[number, axis] += ahead[number, axis] if moved else 0
+            weight *= apart[number, axis] if moved else 1 - apart[number, axis]
+        wanted = hashed(np.column_stack([cell, kind]))
+        found = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+        alike = (normal * normal[rows[found]]).sum(axis=1)
+        others.append(found)
+        weights.append(np.where((keys[found] == wanted) & (alike > ALIKE), weight, 0.0))
+    total = np.stack(weights)
+    return BounceReceivers(rows, np.stack(others), (total / total.sum(axis=0)).astype(np.float32))
 
 
 def world_names(lighting: tuple[str, ...]) -> tuple[str, ...]:

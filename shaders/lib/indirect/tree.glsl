@@ -40,6 +40,18 @@ vec3 ps_unpack_radiance(vec2 codes)
   return steps * exp2(exponent - 1036.0);
 }
 
+// How far normals lie along the axis.
+float ps_along(PsNode node)
+{
+  return float(node.bits >> 9 & 63) / 63.0;
+}
+
+// How far it reaches along the axis at most, either way, over its radius.
+float ps_thickness(PsNode node)
+{
+  return float(node.bits >> 15 & 63) / 63.0;
+}
+
 PsNodeLook ps_node_look(int number, PsNode node)
 {
   ivec2 at = ps_node_texel(number);
@@ -47,7 +59,7 @@ PsNodeLook ps_node_look(int number, PsNode node)
   PsNodeLook look;
   look.facing = ps_unpack_normal(a.x) * a.y;
   look.axis = ps_unpack_normal(node.axis);
-  look.along = float(node.bits >> 9 & 63) / 63.0;
+  look.along = ps_along(node);
   look.scattered = (node.bits & 256) != 0;
   look.before = ps_unpack_radiance(a.zw);
   look.behind = ps_unpack_radiance(b.xy);

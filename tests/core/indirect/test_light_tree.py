@@ -46,6 +46,26 @@ def test_nodes_hold_their_surfels(count):
     assert (np.where(held, away, 0) <= tree.radius[:, None] * (1 + 1e-6)).all()
 
 
+@pytest.mark.parametrize(("flat", "thickest"), [(1.0, 1.0), (0.01, 0.06)])
+def test_no_disk_reaches_beyond_a_nodes_thickness(flat, thickest):
+    """Of surfels turned at random, and of a sheet a hundredth as thick, whose root is thin: 0.0500 of its radius."""
+    surfels = random_surfels(300)
+    normal = surfels.normal * np.array([flat, flat, 1], np.float32)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    position = surfels.position * np.array([1, 1, flat], np.float32)
+    area = np.full(300, 1e-4, np.float32)
+    names = [name for name in NAMES if name not in ("normal", "area")]
+    surfels = Surfels(surfels.origin, position, normal, area, *(getattr(surfels, name) for name in names))
+    tree = build_tree(surfels)
+    held = descendants(tree)[:, tree.leaf]
+    away = np.abs(np.einsum("mni,mi->mn", position[None] - tree.position[:, None], tree.axis))
+    sine = np.sqrt(np.maximum(1 - (tree.axis @ normal.T) ** 2, 0))
+    reach = np.where(held, away + np.sqrt(area / np.pi) * sine, 0).max(axis=1)
+    assert (reach <= tree.thickness + 1e-5).all()
+    assert (tree.thickness <= tree.radius * (1 + 1e-6)).all()
+    assert tree.thickness[-1] <= thickest * tree.radius[-1]
+
+
 def test_surfels_in_one_place_share_a_leaf():
     surfels = random_surfels(5)
     tree = build_tree(Surfels(surfels.origin, surfels.position * 0, *(getattr(surfels, name) for name in NAMES)))

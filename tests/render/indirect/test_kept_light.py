@@ -32,13 +32,16 @@ def picture(of: Renderer, case: Case, seen: Camera) -> np.ndarray:
 def gathered(monkeypatch) -> list[int]:
     """Receivers of each gather."""
     counts: list[int] = []
-    gather = IndirectLight.gathered
 
-    def counting(self, position, *args, **named):
-        counts.append(len(position))
-        return gather(self, position, *args, **named)
+    def counting(gather):
+        def counted(self, position, *args, **named):
+            counts.append(len(position))
+            return gather(self, position, *args, **named)
 
-    monkeypatch.setattr(IndirectLight, "gathered", counting)
+        return counted
+
+    for name in ("gathered", "bounced"):
+        monkeypatch.setattr(IndirectLight, name, counting(getattr(IndirectLight, name)))
     return counts
 
 

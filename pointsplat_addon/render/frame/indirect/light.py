@@ -10,7 +10,6 @@ from ....core.indirect.sites import Sites, hashed, quantised_directions, scrambl
 from ...device.protocol import Device, Target, Texture
 from ...indirect.light import IndirectLight
 from ...passes.gbuffer import GBuffer, Variant
-from ...passes.indirect.gather import CELLS
 from ...passes.indirect.group_points import GROUP_POINTS_BLOCK, group_points_program
 from ...passes.indirect.interpolate import INTERPOLATE, INTERPOLATE_BLOCK, TILE
 from ...passes.indirect.pages import RECEIVER_WIDTH, paged_texture, receiver_texture
@@ -94,7 +93,7 @@ class GroupsInIndirectLight:
 
         def gather_matte(some: np.ndarray) -> np.ndarray:
             some = matte[some]
-            diffuse = light.gathered(at.position[some], at.normal[some], CELLS, self._sky)
+            diffuse = light.gathered(at.position[some], at.normal[some], self._sky)
             return np.column_stack([diffuse, np.zeros_like(diffuse)])
 
         if len(matte):
@@ -111,7 +110,7 @@ class GroupsInIndirectLight:
             def gather_smooth(some: np.ndarray) -> np.ndarray:
                 rows = smooth[some]
                 return light.gathered(
-                    at.position[rows], at.normal[rows], CELLS, self._sky, mirror[some], lobe_sharpness(alpha[some])
+                    at.position[rows], at.normal[rows], self._sky, mirror[some], lobe_sharpness(alpha[some])
                 )
 
             found[smooth] = light.known.lookup(keys, gather_smooth)

@@ -9,17 +9,19 @@ from ...device.protocol import Device, Texture
 from ..uniforms import block
 from .pages import NODE_WIDTH, RECEIVER_WIDTH
 
-CELLS = 8  # along either side of a hemisphere
+CELLS = 8
 BOUNCE_CELLS = 6  # where what is gathered lights other surfaces
 COARSENESS = 1.0  # cells that a node may cover
-GATHER_BLOCK = block("Gather", (("int", "root"), ("float", "coarseness")))
+GATHER_BLOCK = block("Gather", (("int", "root"), ("float", "coarseness"), ("float", "sky")))
 
 
-def gather_program(world: tuple[str, ...], glossy: bool, cells: int = CELLS) -> Interface:
-    """Returns the program that gathers. `world`: the PS_ names of the sky. `glossy`: what smooth surfaces mirror."""
+def gather_program(world: tuple[str, ...], glossy: bool, bounces: bool = False) -> Interface:
+    """Returns the program that gathers. `world`: the PS_ names of the sky. `glossy`: what smooth surfaces mirror.
+    `bounces`: light for surfaces that light others."""
     lights = (("FLOAT_2D", "ps_lights"),) if world else ()
     picture = (("FLOAT_2D", "ps_environment"),) if "PS_HAS_ENVIRONMENT" in world else ()
-    names = (*world, *(("PS_GLOSSY",) if glossy else ()))
+    names = (*world, *(("PS_GLOSSY",) if glossy else ()), *(("PS_BOUNCES",) if bounces else ()))
+    cells = BOUNCE_CELLS if bounces else CELLS
     return Interface(
         "gather", fragment="indirect/gather.frag", block=GATHER_BLOCK,
         outputs=(("vec4", "out_diffuse"), *((("vec4", "out_glossy"),) if glossy else ())),

@@ -21,42 +21,65 @@ def node_rows(tree: LightTree, radiance: np.ndarray) -> np.ndarray:
     """Returns the texels of nodes, (M, 16) float32; radiance: (3, M, 3), as of LightTree.radiance.
 
     texel 0  place and radius of the node
-          1  area; its first child, or for a leaf -1 less the code of its edge; its octants, 8 bits, whether it is
-             scattered, 1 bit, and how far normals lie along the axis, 6 bits; the axis
+          1  area; its first child, or for a leaf -1 less the code of its edge, 0: it has none; its octants, 8 bits,
+             whether it is scattered, 1 bit, how far normals lie along the axis and how thick it is along that over
+             its radius, 6 bits each; the axis
           2  direction and length of `facing`; radiance before, in two numbers
           3  radiance behind and inside, in two numbers each
     """
-    length = np.linalg.norm(tree.facing, axis=1)
-    bits = tree.octants.astype(np.float64) + 256.0 * (tree.scattered > 0.5) + 512.0 * np.rint(LEVELS * tree.along)
-    first = np.where(tree.first < 0, -1.0 - _edge_codes(tree), tree.first)
-    rows = [tree.position, tree.radius, tree.area, first, bits, octahedral(tree.axis)]
-    rows += [octahedral(tree.facing), length, *(packed_radiance(side) for side in radiance)]
-    return np.column_stack(rows).astype(np.float32)
+    return with_radiance(node_shapes(tree), radiance)
 
 
-def _edge_codes(tree: LightTree) -> np.ndarray:
-    """(M,): whole numbers for edges, from 1 on: whether they are of triangles, how far they are turned about the axis,
-    and the binary logarithm of their lengths over those of squares; 0: there is none."""
-    axis = quantised_directions(tree.axis.astype(np.float64), OCT_STEPS)[1]  # as the device reads it
+def with_radiance(shapes: np.ndarray, radiance: np.ndarray) -> np.ndarray:
+    """Returns such texels from those of node_shapes, (M, 16)."""
+    found = shapes.copy()
+    for column, side in enumerate(radiance):
+        found[:, 10 + 2 * column : 12 + 2 * column] = packed_radiance(side)
+    return found
+
+
+def node_shapes(tree: LightTree) -> np.ndarray:
+    """Returns what the texels of nodes hold beside radiance, as node_rows."""
+    found = np.zeros((len(tree), 16), np.float32)
+    found[:, :3], found[:, 3], found[:, 4] = tree.position, tree.radius, tree.area
+    found[:, 5] = np.where(tree.first < 0, -1, tree.first)
+    leaves = np.flatnonzero((tree.first < 0) & tree.edge.any(axis=1))
+    found[leaves, 5] -= _edge_codes(tree, leaves)
+    thickness = np.ceil(LEVELS * np.minimum(tree.thickness / tree.radius * (1 + 1e-6), 1.0))
+    found[:, 6] = (
+        tree.octants + 256.0 * (tree.scattered > 0.5) + 512.0 * np.rint(LEVELS * tree.along) + 32768.0 * thickness
+    )
+    found[:, 7], found[:, 8] = octahedral(tree.axis), octahedral(tree.facing)
+    found[:, 9] = np.sqrt((tree.facing**2).sum(axis=1))
+    return found
+
+
+def _edge_codes(tree: LightTree, leaves: np.ndarray) -> np.ndarray:
+    """(n,): whole numbers for edges of leaves (n,), from 1 on: whether they are of triangles, how far they are turned
+    about the axis, and the binary logarithm of their lengths over those of squares."""
+    # The axis as the device reads it.
+    axis = quantised_directions(tree.axis[leaves].astype(np.float64), OCT_STEPS)[1]
+    edge, half = tree.edge[leaves], tree.half[leaves]
     x, y, z = axis.T
     none = np.zeros_like(x)
     first = np.where(np.abs(z) < 0.7, (y, -x, none), (none, z, -y)).T
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = np.cross(axis, first)
-    along, beside = ((tree.edge * one).sum(axis=1) for one in (first, second))
+    along, beside = ((edge * one).sum(axis=1) for one in (first, second))
     length = np.hypot(along, beside)
     turn = np.rint(np.arctan2(beside, along) / (2 * np.pi) * EDGE_STEPS) % EDGE_STEPS
-    ratio = np.log2(np.maximum(length, 1e-30) / np.sqrt(np.maximum(tree.area * np.where(tree.half, 2, 1), 1e-30)))
+    square = np.sqrt(np.maximum(tree.area[leaves] * np.where(half, 2, 1), 1e-30))
+    ratio = np.log2(np.maximum(length, 1e-30) / square)
     steps = np.clip(np.rint(ratio * EDGE_OCTAVE) + EDGE_STEPS // 2, 0, EDGE_STEPS - 1)
-    return np.where(length > 0, 1 + (tree.half * EDGE_STEPS + turn) * EDGE_STEPS + steps, 0)
+    return 1 + (half * EDGE_STEPS + turn) * EDGE_STEPS + steps
 
 
 def packed_radiance(radiance: np.ndarray) -> np.ndarray:
     """Packs radiance (N, 3) into two whole numbers below 2^24, (N, 2): exponent and red, green and blue."""
-    values = np.clip(radiance, 0.0, 1e30).astype(np.float64)
-    exponent = np.frexp(np.maximum(values.max(axis=1), 1e-30))[1]
-    steps = np.minimum(np.rint(np.ldexp(values, -exponent[:, None]) * MANTISSA), MANTISSA - 1)
-    return np.column_stack([(exponent + EXPONENTS) * MANTISSA + steps[:, 0], steps[:, 1] * MANTISSA + steps[:, 2]])
+    values = np.clip(radiance.T, 0.0, 1e30, dtype=np.float32)
+    exponent = np.frexp(np.maximum(values.max(axis=0), np.float32(1e-30)))[1]
+    red, green, blue = np.minimum(np.rint(values * np.ldexp(np.float32(MANTISSA), -exponent)), MANTISSA - 1)
+    return np.column_stack([(exponent + EXPONENTS) * np.float32(MANTISSA) + red, green * MANTISSA + blue])
 
 
 def receiver_texture(
