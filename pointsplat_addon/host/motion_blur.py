@@ -1,6 +1,7 @@
 """Motion blur of final renders: each sample of a picture shows the scene at a moment of its own (Cook et al. 1984).
 
-What moves may be anything: objects, cameras, lights, deformed meshes, materials. Where nothing does, a picture is drawn as ever.
+What moves may be anything: objects, cameras, lights, deformed meshes, materials. Where nothing does, a picture is drawn
+as without it.
 """
 
 from __future__ import annotations
@@ -50,8 +51,8 @@ def draw(
 ) -> tuple[Result, list[str]]:
     """Draw the picture of `request` with a sample at each of `times`; return it and problems with the device.
 
-    show: the scene and the camera so many frames after the present one, which `scene` and `request` are of. Passes that are
-    no averages are of the present one.
+    show: the scene and the camera so many frames after the present one, which `scene` and `request` are of. Passes that
+    are no averages are of the present one.
     """
     count = len(times)
     known = {k: show(times[k]) for k in (0, count // 2, count - 1)}
@@ -85,7 +86,7 @@ def draw(
 
 
 def same(a: Any, b: Any) -> bool:
-    """Whether two parts of scenes would be drawn alike: records, tuples, dicts, arrays or values. Geometries are by key."""
+    """Whether two parts of scenes would be drawn alike: records, tuples, dicts, arrays or values; geometries by key."""
     if a is b:
         return True
     if type(a) is not type(b):
