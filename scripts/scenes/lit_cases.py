@@ -56,7 +56,7 @@ def environment() -> Case:
 def reflections() -> Case:
     """Spheres of all kinds of reflection below a sun and an area light.
 
-    Tinted metal, sheen, a toon, one that is cut out in part, a stretched highlight, and points with a rough diffuse surface.
+    Tinted metal, sheen, a toon, one that is cut out in part, a stretched highlight, and rough diffuse points.
     """
     f = np.float32
     table = materials(
