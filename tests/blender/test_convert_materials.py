@@ -666,6 +666,21 @@ def test_what_surfaces_are_not_is_told(kind, properties, told):
     assert warnings[0].endswith(told)
 
 
+@pytest.mark.parametrize(("method", "told"), [("BUMP", []), ("BOTH", ["is drawn as a bump"])])
+def test_displacement_raises_the_normal_of_inputs_to_which_nothing_is_linked(method, told):
+    made = new_material("raised")
+    tree = made.node_tree
+    height = node(tree, "ShaderNodeTexNoise").outputs[0]
+    raised = node(tree, "ShaderNodeDisplacement", {"Height": height}).outputs[0]
+    node(tree, "ShaderNodeOutputMaterial", {"Surface": principled(tree), "Displacement": raised})
+    made.displacement_method = method
+    table, warnings = convert_materials([made])
+    assert warnings == [f'Material "{made.name}": node "Displacement" {text}' for text in told]
+    graph = table.graphs[1]
+    assert isinstance(graph, MaterialGraph)
+    assert set(graph.channels) == {"normal"}
+
+
 def test_a_stretched_reflection_is_a_graph_and_a_round_one_is_not():
     stretched, plain = (surface("s", lambda t, a=a: principled(t, Anisotropic=a)) for a in (0.5, 0.0))
     table, warnings = convert_materials([stretched, plain])

@@ -13,7 +13,6 @@ import numpy as np
 
 from pointsplat_addon.core.light import bsdf
 
-
 LEAST_COSINE = 0.005
 
 
