@@ -56,7 +56,7 @@ def environment() -> Case:
 def reflections() -> Case:
     """Spheres of all kinds of reflection below a sun and an area light.
 
-    Tinted metal, sheen, a toon, one that is cut out in part, a stretched highlight, and points with a rough diffuse surface.
+    Tinted metal, sheen, a toon, one that is cut out in part, a stretched highlight, and rough diffuse points.
     """
     f = np.float32
     table = materials(
@@ -80,7 +80,7 @@ def reflections() -> Case:
     cloud = replace(sphere_cloud(count), material=np.full(count, 5, np.uint16))
     things.append((points("reflecting points", cloud), moved((1, 0, -0.5), 0.4)))
     lamp = Light(
-        "RECTANGLE", np.full(3, 4.0), np.array([0.5, -2.0, 2.0]), np.array([0.0, 0.7, -0.7]),
+        "AREA", np.full(3, 4.0), np.array([0.5, -2.0, 2.0]), np.array([0.0, 0.7, -0.7]),
         axis_u=np.array([0.4, 0, 0]), axis_v=np.array([0, 0.3, 0.3]),
     )  # fmt: skip
     return Case(scene(*things, lights=(sun(), lamp), table=table, transparent=True), camera())

@@ -4,7 +4,7 @@
 #include "lib/geometry/surfel.glsl"
 #include "lib/data/attributes.glsl"
 #ifdef PS_NORMAL
-#include "lib/light/lit_normal.glsl"
+#include "lib/splat/lit_normal.glsl"
 #endif
 #include "lib/splat/ewa.glsl"
 

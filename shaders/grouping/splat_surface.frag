@@ -8,7 +8,7 @@
 #include "lib/data/store.glsl"
 #include "lib/data/attributes.glsl"
 #ifdef PS_NORMAL
-#include "lib/light/lit_normal.glsl"
+#include "lib/splat/lit_normal.glsl"
 #endif
 #ifdef PS_SPREAD
 #include "lib/visibility/surface_key.glsl"

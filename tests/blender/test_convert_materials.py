@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.material import color_models, expression
+from pointsplat_addon.core.material.graph import MaterialGraph
 from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, math_functions, ramp_nodes, texture_nodes
 
 bpy = pytest.importorskip("bpy")
@@ -607,6 +608,9 @@ def test_tints_roughness_and_sheen_are_columns_that_scenes_without_them_lack():
 
     table, warnings = convert_materials([surface("all", lambda t: principled(t, **given)), surface("half", half)])
     assert not warnings
+    assert table.tint is not None
+    assert table.diffuse_roughness is not None
+    assert table.sheen is not None
     np.testing.assert_allclose(table.tint, [[1, 1, 1], *[[1, 0.5, 0.25]] * 2])
     np.testing.assert_allclose(table.diffuse_roughness, [0, 0.5, 0.5])
     np.testing.assert_allclose(table.sheen, [[0, 0, 0, 0.5], [0.5, 0.25, 0, 0.25], [0.25, 0.125, 0, 0.25]])
@@ -624,6 +628,8 @@ def test_a_toon_is_a_column_and_so_is_a_holdout():
     toon = surface("toon", lambda t: output(node(t, "ShaderNodeBsdfToon", {"Size": 0.25, "Smooth": 0.75})))
     table, warnings = convert_materials([toon, surface("cut", cut)])
     assert not warnings
+    assert table.toon is not None
+    assert table.holdout is not None
     np.testing.assert_allclose(table.toon, [[-1, -1], [0.25, 0.75], [-1, -1]])
     np.testing.assert_allclose(table.holdout, [0, 0, 0.25])
     np.testing.assert_allclose(table.base_color[2], f32([0.2, 0.4, 0.6]))
@@ -660,11 +666,28 @@ def test_what_surfaces_are_not_is_told(kind, properties, told):
     assert warnings[0].endswith(told)
 
 
+@pytest.mark.parametrize(("method", "told"), [("BUMP", []), ("BOTH", ["is drawn as a bump"])])
+def test_displacement_raises_the_normal_of_inputs_to_which_nothing_is_linked(method, told):
+    made = new_material("raised")
+    tree = made.node_tree
+    height = node(tree, "ShaderNodeTexNoise").outputs[0]
+    raised = node(tree, "ShaderNodeDisplacement", {"Height": height}).outputs[0]
+    node(tree, "ShaderNodeOutputMaterial", {"Surface": principled(tree), "Displacement": raised})
+    made.displacement_method = method
+    table, warnings = convert_materials([made])
+    assert warnings == [f'Material "{made.name}": node "Displacement" {text}' for text in told]
+    graph = table.graphs[1]
+    assert isinstance(graph, MaterialGraph)
+    assert set(graph.channels) == {"normal"}
+
+
 def test_a_stretched_reflection_is_a_graph_and_a_round_one_is_not():
     stretched, plain = (surface("s", lambda t, a=a: principled(t, Anisotropic=a)) for a in (0.5, 0.0))
     table, warnings = convert_materials([stretched, plain])
     assert not warnings
-    assert set(table.graphs[1].channels) == {"tangent"}
+    graph = table.graphs[1]
+    assert isinstance(graph, MaterialGraph)
+    assert set(graph.channels) == {"tangent"}
     assert table.graphs[2] is None
 
 

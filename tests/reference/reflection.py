@@ -13,6 +13,8 @@ import numpy as np
 
 from pointsplat_addon.core.light import bsdf
 
+LEAST_COSINE = 0.005
+
 
 @dataclass
 class Look:
@@ -66,7 +68,7 @@ def lit(normal: np.ndarray, to_eye: np.ndarray, to_light: np.ndarray, look: Look
     if look.diffuse_roughness is not None:
         shaped = rough_diffuse(normal, to_eye, to_light, look.base, look.diffuse_roughness)
     if look.toon is not None:
-        shaped = (toon(cos_light, *look.toon) / np.maximum(cos_light, 1e-4))[:, None]
+        shaped = (toon(cos_light, *look.toon) / np.maximum(cos_light, LEAST_COSINE))[:, None]
     result = diffuse * shaped * cos_light[:, None] + glossy
     if look.sheen is not None:
         fibres, lobe = sheen(normal, to_eye, to_light, look.sheen)

@@ -517,7 +517,7 @@ vec3 ps_specular(PsLobes lobes, vec3 direction, float a2)
 #ifdef PS_TANGENT
   float exponent = dot(parts.xy / alpha2.xy, vec2(1.0)) / along2;
 #else
-  float exponent = dot(sine, sine) / (along2 * a2);
+  float exponent = dot(sine, sine) / along2 / a2;
 #endif
   density = mix(density, exp(-exponent) / (mean2 * along2 * along2), share);
 #endif

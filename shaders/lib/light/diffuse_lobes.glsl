@@ -4,6 +4,17 @@
 // PS_SHEEN: fibres by Zeltner, Burley and Chiang ("Practical Multiple-Scattering Sheen Using Linearly Transformed Cosines",
 // 2022), of whose tables these are MaterialX' rational fits. PS_TOON: Blender's diffuse Toon BSDF.
 
+// The least cosine by which irradiance is divided: that of normals that are seen and of lights with a size is not 0 at the
+// horizon, where the middle one's is.
+float ps_least_cosine(PsLobes lobes)
+{
+#ifdef PS_SPREAD
+  return max(0.8 * sqrt(0.5 * max(lobes.spread, 0.0)), 0.005);
+#else
+  return 0.005;
+#endif
+}
+
 #ifdef PS_ROUGH_DIFFUSE
 
 // Of a surface of roughness 1, what it reflects of uniform light more than Lambert's, by the cosine of the other direction; over pi.
@@ -37,7 +48,7 @@ vec3 ps_rough_diffuse(PsLobes lobes, vec3 direction)
 {
   float cos_light = max(dot(lobes.normal, direction), 0.0), cos_eye = max(dot(lobes.normal, lobes.to_eye), 0.0);
   float across = dot(direction, lobes.to_eye) - cos_light * cos_eye;
-  across /= across > 0.0 ? max(max(cos_light, cos_eye), 1e-9) : 1.0;
+  across /= across > 0.0 ? max(max(cos_light, cos_eye), ps_least_cosine(lobes)) : 1.0;
   float scale = ps_rough_scale(lobes.rough);
   float once = scale * (PS_PI + lobes.rough * ps_rough_albedo(cos_light));
   return PS_PI * scale * (1.0 + lobes.rough * across) + lobes.again * (1.0 - once);
@@ -63,7 +74,7 @@ float ps_toon_diffuse(PsLobes lobes, vec3 direction)
 #endif
   size -= max(range - 0.5 * smoothness, 0.0);
   float shown = clamp(1.0 - (angle - size) / max(smoothness, 2.0 * range), 0.0, 1.0);
-  return cosine > 0.0 ? shown * 0.5 / (all * max(cosine, 1e-4)) : 0.0;
+  return cosine > 0.0 ? shown * 0.5 / (all * max(cosine, ps_least_cosine(lobes))) : 0.0;
 }
 
 #endif

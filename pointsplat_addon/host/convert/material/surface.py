@@ -131,7 +131,7 @@ def _mixed_backlit(t: Expression, a: Surface, b: Surface) -> Expression:
 def _mixed_holdout(a: Surface, b: Surface, first: Expression, factor: Expression) -> Surface:
     """The mixture of two surfaces of which a share of each is cut out: what is left of them, and the share of all."""
     held = [multiply(share, surface.holdout) for share, surface in ((first, a), (factor, b))]
-    cut = math_nodes.Math(*held, ZERO, "ADD")
+    cut = math_nodes.Math(held[0], held[1], ZERO, "ADD")
     if is_constant(a.holdout, 1):
         return replace(b, holdout=cut)
     if is_constant(b.holdout, 1):

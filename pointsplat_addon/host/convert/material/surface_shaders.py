@@ -127,16 +127,20 @@ def _toon(node: NodeReader) -> Surface:
     return Surface(base_color=node["Color"], toon=color_nodes.Combine(size, smooth, ONE), normal=node["Normal"])
 
 
+def _number(node: NodeReader, identifier: str) -> np.ndarray:
+    """The value (C,) of an input that must not vary over the surface, as constant_input has it."""
+    value = constant(constant_input(node, identifier))
+    assert value is not None
+    return value
+
+
 def _metallic(node: NodeReader) -> Surface:
     _warn_of_left_out(node)
     if node.node.fresnel_type == "F82":
         color, tint = node["Base Color"], math_nodes.Clamp(constant_input(node, "Edge Tint"), ZERO, ONE)
     else:
-        index, extinction = (constant_input(node, name) for name in ("IOR", "Extinction"))
-        color, tint = (
-            input_nodes.Constant(tuple(values.tolist()))
-            for values in f82_of_conductor(constant(index), constant(extinction))
-        )
+        found = f82_of_conductor(_number(node, "IOR"), _number(node, "Extinction"))
+        color, tint = (input_nodes.Constant(tuple(values.tolist())) for values in found)
     tangent = _tangent(node, "Anisotropy", "Rotation")
     return Surface(
         base_color=color, roughness=node["Roughness"], metallic=ONE, tint=tint, tangent=tangent, normal=node["Normal"]
@@ -147,7 +151,7 @@ def _specular(node: NodeReader) -> Surface:
     """EEVEE's Specular BSDF: an opaque Lambertian surface below a reflection whose colour is given. Its clear coat is a
     coat."""
     node.warn("is drawn as in EEVEE; Cycles has no such node, and draws it black")
-    color = constant(math_nodes.Clamp(constant_input(node, "Specular"), ZERO, ONE))
+    color = np.clip(_number(node, "Specular"), 0, 1)
     most = min(float(np.max(color)), 0.99)
     root = most**0.5
     coat = math_nodes.Clamp(constant_input(node, "Clear Coat"), ZERO, ONE)
@@ -188,7 +192,8 @@ def _tangent(node: NodeReader, anisotropy: str, rotation: str) -> Expression:
 
 def _glossy_tangent(node: NodeReader) -> Expression:
     """Surface.tangent of a Glossy BSDF, which is smoother along Blender's tangent by 1 - a where that is above 0."""
-    amount = math_nodes.Clamp(node["Anisotropy"], *(input_nodes.Constant((end,)) for end in (-0.99, 0.99)))
+    low, high = input_nodes.Constant((-0.99,)), input_nodes.Constant((0.99,))
+    amount = math_nodes.Clamp(node["Anisotropy"], low, high)
     if is_constant(amount, 0):
         return BLACK
     positive = math_nodes.Math(amount, ZERO, ZERO, "GREATER_THAN")
