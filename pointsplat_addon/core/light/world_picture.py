@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ..light.environment import WIDTHS, bilinear, direction_from_uv, texel_directions, texel_uv
+from .environment import WIDTHS, bilinear, direction_from_uv, texel_directions, texel_uv
 from ..material.expression import Expression, SampleInputs, evaluate, walk
 from ..material.nodes.direction_nodes import SkyTexture
 from ..material.nodes.texture_nodes import ImageTexture
