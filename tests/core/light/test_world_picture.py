@@ -29,7 +29,7 @@ def test_smooth_expressions_have_small_pictures() -> None:
     picture = picture_of(square)
     assert picture.shape[1] < 8 * NARROWEST
     error = np.abs(shown(picture, directions()) - directions() ** 2)
-    assert error.max() < 0.01, error.max()
+    assert error.max() < 0.002  # measured 0.0012
 
 
 def test_edges_have_texels_of_their_own_size_and_are_smooth() -> None:
@@ -54,7 +54,7 @@ def test_a_mirror_ball_shows_what_it_reflects(direction: tuple[float, float, flo
     normal = np.array([x, -np.sqrt(max(1 - x * x - z * z, 0)), z])
     ray = np.array([0.0, 1.0, 0.0])
     reflected = ray - 2 * (ray @ normal) * normal
-    assert reflected == pytest.approx(unit[0], abs=2e-3)  # float32 at the rim, where the ball is seen edge on
+    assert reflected == pytest.approx(unit[0], abs=1e-6)  # measured 1.4e-7
 
 
 def test_pictures_of_images_have_their_texels() -> None:
@@ -64,12 +64,12 @@ def test_pictures_of_images_have_their_texels() -> None:
     assert picture.shape[1] >= 128
     at = environment.texel_directions(128, 64)
     error = np.abs(radiance_at(image, at) - texels[..., :3])
-    assert error.max() < 1e-4, error.max()
+    assert error.max() < 1e-5  # measured 5.4e-6
     # Between texels, around the seam, too, but for the poles, where Cycles repeats the picture
     near = directions()
     near = near[np.abs(near[:, 2]) < 0.99]
     error = np.abs(shown(picture, near) - radiance_at(image, near))
-    assert error.max() < 0.05, error.max()
+    assert error.max() < 0.04  # measured 0.028, of noise of the texels' size
 
 
 def test_values_that_are_not_finite_are_black() -> None:

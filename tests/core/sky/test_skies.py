@@ -96,10 +96,7 @@ def test_steps_of_skies_converge() -> None:
     sun = np.array(towards(40.0))
     got, want = (scattering.scattered(direction, sun, x) @ x.rgb for x in (one, fine))
     error = np.abs(got / want - 1)
-    assert error.max() < STEPS_WORST, error.max()
-
-
-STEPS_WORST = 1.0
+    assert error.max() < 0.25  # measured 0.19, at 5 degrees
 
 
 def test_the_sun_is_dimmed_by_what_is_above() -> None:
@@ -133,10 +130,7 @@ def test_tables_of_skies_are_what_they_are_of(model: str) -> None:
     often = OftenScattered(sky.medium) if model == "MULTIPLE_SCATTERING" else None
     want = scattering.scattered(direction, np.array(sky.sun), sky.medium, often) @ sky.medium.rgb
     error = np.abs(sky.radiance(direction) / want - 1)
-    assert error.max() < TABLE_WORST, error.max()
-
-
-TABLE_WORST = 1.0
+    assert error.max() < 0.003  # measured 0.0019
 
 
 def test_what_the_disc_sends_is_the_sun() -> None:
