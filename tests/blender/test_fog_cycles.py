@@ -84,7 +84,7 @@ def test_volume_shaders_of_worlds_are_fogs():
     node = fog(scene, "ShaderNodeVolumePrincipled", Density=0.2, Color=(0.5, 0.25, 1.0, 1.0), Anisotropy=-0.5)
     node.inputs["Emission Strength"].default_value = 2.0
     node.inputs["Emission Color"].default_value = (0.1, 0.2, 0.3, 1.0)
-    world, warnings = world_of(scene)
+    world, _, warnings = world_of(scene)
     assert not warnings
     assert world.fog is not None
     np.testing.assert_allclose(world.fog.scattering, 0.2 * np.array([0.5, 0.25, 1.0]), rtol=1e-6)

@@ -207,8 +207,8 @@ def shade_sphere(scene, roughness, metallic):
     """The sphere by the reference, (N, 3), and which pixels it is (rim left out), as the parallel camera sees them."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     converted, warnings = lights.convert_lights(depsgraph)
-    background, more = world.convert_world(depsgraph)
-    assert warnings + more == []
+    background, suns, more = world.convert_world(depsgraph)
+    assert warnings + more + suns == []
     place = pixel_centres() / 4 * 1.1
     inside = (place**2).sum(1) < 0.95**2
     place = place[inside]
@@ -362,28 +362,29 @@ def test_instanced_lights_shine_where_they_are(scene):
     assert sorted(light.position[0] for light in converted) == pytest.approx([1, 5])
 
 
-def test_worlds_that_cannot_be_read_keep_their_viewport_colour(scene):
-    node = plain_background(scene, (1, 1, 1, 1), 2)
-    scene.world.color = 0.1, 0.2, 0.3
-    sky = scene.world.node_tree.nodes.new("ShaderNodeTexSky")
-    scene.world.node_tree.links.new(sky.outputs[0], node.inputs["Color"])
-    converted, warnings = world.convert_world(bpy.context.evaluated_depsgraph_get())
-    assert converted.color == pytest.approx([0.1, 0.2, 0.3])
+def test_shaders_of_worlds_that_do_not_emit_are_black_and_reported(scene):
+    plain_background(scene, (1, 1, 1, 1), 2)
+    tree = scene.world.node_tree
+    diffuse = tree.nodes.new("ShaderNodeBsdfDiffuse")
+    tree.links.new(diffuse.outputs[0], tree.get_output_node("ALL").inputs["Surface"])
+    converted, suns, warnings = world.convert_world(bpy.context.evaluated_depsgraph_get())
+    assert not converted.color.any()
+    assert suns == []
     assert len(warnings) == 1
-    assert sky.name in warnings[0]
+    assert diffuse.name in warnings[0]
 
 
 def test_missing_environment_image_is_reported(scene):
     node = plain_background(scene, (1, 1, 1, 1), 2)
     texture = scene.world.node_tree.nodes.new("ShaderNodeTexEnvironment")
     scene.world.node_tree.links.new(texture.outputs[0], node.inputs["Color"])
-    converted, warnings = world.convert_world(bpy.context.evaluated_depsgraph_get())
+    converted, _, warnings = world.convert_world(bpy.context.evaluated_depsgraph_get())
     assert len(warnings) == 1
     assert converted.image is not None
     assert np.isfinite(converted.image).all()
 
 
 def test_no_world_is_black(scene):
-    converted, warnings = world.convert_world(bpy.context.evaluated_depsgraph_get())
+    converted, _, warnings = world.convert_world(bpy.context.evaluated_depsgraph_get())
     assert not converted.color.any()
     assert warnings == []

@@ -101,8 +101,8 @@ def test_the_package_is_imported_relatively_inside_itself() -> None:
 # The rooms of a layer, in the order in which they may import each other: each only those before it.
 ORDERS = {
     "core": (
-        "numeric", "scene", "material", "light", "splat", "surface", "strand", "volume", "lod", "shadow", "indirect",
-        "lens",
+        "numeric", "scene", "sky", "material", "light", "splat", "surface", "strand", "volume", "lod", "shadow",
+        "indirect", "lens",
     ),
     "render": (
         "device", "cache", "prepare", "shadow", "passes", "indirect", "plan", "frame", "budget", "light_passes",

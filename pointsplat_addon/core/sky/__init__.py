@@ -1,1 +1,1 @@
-"""Worlds that vary with the direction: pictures of graphs, and models of the sky."""
+"""Models of the sky, by the direction that is looked in."""

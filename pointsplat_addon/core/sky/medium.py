@@ -109,7 +109,7 @@ def _densities_once(height: np.ndarray) -> np.ndarray:
 
 
 def _densities_often(height: np.ndarray) -> np.ndarray:
-    """Fits of Guimera et al. 2018, in kilometres: molecules, aerosols, and ozone as molecules per m3 and Dobson unit."""
+    """Fits of Guimera et al. 2018: of molecules, aerosols, and ozone in molecules per m3 and Dobson unit."""
     height = np.maximum(height, 0.0) / 1000
     air = np.exp(-0.07771971 * height**1.16364243)
     aerosol = np.exp(-height / 0.73) + BACKGROUND / AEROSOLS

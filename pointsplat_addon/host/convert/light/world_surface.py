@@ -7,11 +7,11 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
+from ....core.light.world_picture import picture_of, radiance_at
 from ....core.material.expression import Expression, constant
 from ....core.material.nodes import color_nodes, math_nodes
 from ....core.scene.lights import Light
 from ....core.scene.world import World
-from ....core.sky.picture import picture_of, radiance_at
 from ....core.sky.sky import Disc
 from ....render.cache.cache import Cache
 from ....render.cache.keys import Key, Kind

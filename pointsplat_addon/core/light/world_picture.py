@@ -6,10 +6,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ..light.environment import WIDTHS, bilinear, direction_from_uv, texel_directions, texel_uv
 from ..material.expression import Expression, SampleInputs, evaluate, walk
 from ..material.nodes.direction_nodes import SkyTexture
 from ..material.nodes.texture_nodes import ImageTexture
+from .environment import WIDTHS, bilinear, direction_from_uv, texel_directions, texel_uv
 
 NARROWEST, WIDEST = 64, WIDTHS[-1]  # texels of a picture's width
 WHOLE = 512  # texels of the width up to which all texels are evaluated: what is smaller may be missed
