@@ -5,13 +5,14 @@ from __future__ import annotations
 import bpy
 
 from ..stream.pool import POOL
-from . import engine, page_arrivals
+from . import engine
 from .convert.light import world_surface
 from .convert.material import images
 from .device import gl_thread
 from .device.main_gpu import MAIN_GPU
 from .final import FinalRender
 from .geometry_cache import CACHE
+from .scans import page_arrivals
 from .shared_store import STORE
 from .viewport import Viewport
 

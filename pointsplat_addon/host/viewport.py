@@ -21,9 +21,10 @@ from ..render.frame.frame import Frame
 from ..render.plan.request import Request
 from ..shading.sources import ShaderError
 from ..stream.pool import POOL, VIEWPORT
-from . import disk_cache, page_arrivals
+from . import disk_cache
 from .convert.camera import pixel_size, viewport_camera
 from .device.main_gpu import MAIN_GPU
+from .scans import page_arrivals
 from .sync import Synchronizer
 
 LOG = logging.getLogger(__name__)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..stream.pool import POOL, VIEWPORT
+from ...stream.pool import POOL, VIEWPORT
 
 INTERVAL = 0.1  # seconds between two looks
 
