@@ -88,6 +88,7 @@ RULES: dict[type, dict[str, Rule]] = {
     World: {
         "color": Rule(CLAMP, *_DISTANCE),  # -inf becomes 0
         "image": Rule(LATER),  # the environment's importance ignores texels that are no numbers
+        "mirrored": Rule(LATER),
         "world_rotation": Rule(DEFAULT, -1.01, 1.01),  # float32's rounding, and no more
     },
     Fog: {

@@ -25,9 +25,9 @@ class World:
 
     color: np.ndarray = field(default_factory=lambda: np.zeros(3))  # (3,) float64 radiance; used when image is None
     image: np.ndarray | None = None  # (H, W, 3) float32 radiance, row 0 at the bottom (-Z), Blender's equirect layout
-    mirrored: np.ndarray | None = None  # (H, W, 3) float32: what is seen in glossy surfaces instead of `image`
     world_rotation: np.ndarray = field(default_factory=lambda: np.eye(3))  # (3, 3) image_from_world
     fog: Fog | None = None
+    mirrored: np.ndarray | None = None  # (H, W, 3) float32: what is seen in glossy surfaces instead of `image`
     seen: World | None = None  # what cameras see instead, without fog of its own; None: the same
 
     @property

@@ -61,7 +61,7 @@ def light_path(ray: str) -> NodeConverter:
 
     def convert(node: NodeReader) -> Outputs:
         """Values of rays from the camera, or that one surface has reflected."""
-        found = dict.fromkeys((s.identifier for s in node.node.outputs if s.identifier != "Ray Length"), ZERO)
+        found: Outputs = dict.fromkeys((s.identifier for s in node.node.outputs if s.identifier != "Ray Length"), ZERO)
         found |= {ray: ONE, "Ray Depth": ONE}
         if ray != CAMERA:
             found |= {"Is Reflection Ray": ONE, "Ray Depth": TWO, f"{ray.split()[1]} Depth": ONE}
@@ -83,7 +83,7 @@ def _environment(node: NodeReader) -> Outputs:
 
 def _sky(node: NodeReader) -> Outputs:
     texture, tree = node.node, node.tree
-    kind = MODELS.get(texture.sky_type, texture.sky_type)
+    kind = str(MODELS.get(texture.sky_type, texture.sky_type))
     elevation, rotation = texture.sun_elevation, texture.sun_rotation
     if kind in SCATTERED:
         flat = np.cos(elevation)
@@ -93,7 +93,7 @@ def _sky(node: NodeReader) -> Outputs:
         sun = sun / np.linalg.norm(sun) if sun.any() else np.array([0.0, 0.0, 1.0])
     aerosol = texture.aerosol_density if hasattr(texture, "aerosol_density") else texture.dust_density
     air = Atmosphere(texture.altitude, texture.air_density, aerosol, texture.ozone_density)
-    toward = tuple(float(v) for v in sun)
+    toward = float(sun[0]), float(sun[1]), float(sun[2])
     # What a model does not read is left out, so that it changes no picture.
     sky = Sky(kind, toward, atmosphere=air) if kind in SCATTERED else Sky(kind, toward, texture.turbidity)
     if kind == "HOSEK_WILKIE":
@@ -112,7 +112,7 @@ def _nothing(*names: str) -> Callable[[NodeReader], Outputs]:
     """A converter of nodes that read objects, of which worlds know nothing: all is 0, as in Cycles."""
 
     def convert(node: NodeReader) -> Outputs:
-        found = {s.identifier: BLACK if s.type in ("VECTOR", "RGBA") else ZERO for s in node.node.outputs}
+        found: Outputs = {s.identifier: BLACK if s.type in ("VECTOR", "RGBA") else ZERO for s in node.node.outputs}
         return found | dict.fromkeys(names, ONE)
 
     return convert

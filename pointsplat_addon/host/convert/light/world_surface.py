@@ -46,7 +46,8 @@ def radiance(tree: TreeReader, socket: bpy.types.NodeSocket, path: Path = ()) ->
         color, strength = (tree.read(node.inputs[name], path) for name in ("Color", "Strength"))
         return color if is_constant(strength, 1) else scale_color(color, strength)
     if node.bl_idname == "ShaderNodeAddShader":
-        return math_nodes.VectorMath(*(radiance(tree, s, path) for s in node.inputs[:2]), BLACK, ZERO, "ADD")
+        first, second = (radiance(tree, s, path) for s in node.inputs[:2])
+        return math_nodes.VectorMath(first, second, BLACK, ZERO, "ADD")
     if node.bl_idname == "ShaderNodeMixShader":
         factor = math_nodes.Clamp(tree.read(node.inputs[0], path), ZERO, ONE)
         for number, other in ((0, 1), (1, 2)):  # no more of the tree is read than is seen
