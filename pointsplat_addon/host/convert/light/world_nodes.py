@@ -61,8 +61,7 @@ def light_path(ray: str) -> NodeConverter:
 
     def convert(node: NodeReader) -> Outputs:
         """Values of rays from the camera, or that one surface has reflected."""
-        names = (s.identifier for s in node.node.outputs if s.identifier != "Ray Length")
-        found: Outputs = dict.fromkeys(names, ZERO)
+        found: Outputs = dict.fromkeys((s.identifier for s in node.node.outputs if s.identifier != "Ray Length"), ZERO)
         found |= {ray: ONE, "Ray Depth": ONE}
         if ray != CAMERA:
             found |= {"Is Reflection Ray": ONE, "Ray Depth": TWO, f"{ray.split()[1]} Depth": ONE}
@@ -84,7 +83,7 @@ def _environment(node: NodeReader) -> Outputs:
 
 def _sky(node: NodeReader) -> Outputs:
     texture, tree = node.node, node.tree
-    kind = MODELS.get(texture.sky_type) or texture.sky_type
+    kind = str(MODELS.get(texture.sky_type, texture.sky_type))
     elevation, rotation = texture.sun_elevation, texture.sun_rotation
     if kind in SCATTERED:
         flat = np.cos(elevation)
