@@ -351,6 +351,20 @@ def test_lights_that_give_nothing_are_left_out(scene):
     assert "flat" in warnings[0]
 
 
+@pytest.mark.parametrize("kind", ["receiver_collection", "blocker_collection"])
+def test_linked_lights_shine_on_all_with_a_warning(scene, kind):
+    data = bpy.data.lights.new("key", "POINT")
+    light = bpy.data.objects.new("key", data)
+    scene.collection.objects.link(light)
+    assert lights.convert_lights(bpy.context.evaluated_depsgraph_get())[1] == []
+    setattr(light.light_linking, kind, bpy.data.collections.new("some"))
+    found, warnings = lights.convert_lights(bpy.context.evaluated_depsgraph_get())
+    assert len(found) == 1
+    assert len(warnings) == 1
+    assert "linking" in warnings[0]
+    assert '"key"' in warnings[0]
+
+
 def test_instanced_lights_shine_where_they_are(scene):
     source = bpy.data.collections.new("lamps")
     source.objects.link(bpy.data.objects.new("lamp", bpy.data.lights.new("lamp", "POINT")))

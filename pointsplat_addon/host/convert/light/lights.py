@@ -37,6 +37,12 @@ def from_object(obj: bpy.types.Object, world_from_object: np.ndarray | None = No
     if data.use_temperature:
         color = color * np.array(data.temperature_color)
 
+    linking = obj.light_linking
+    if linking.receiver_collection is not None or linking.blocker_collection is not None:
+        warnings.append(
+            f'Light "{obj.name}": light and shadow linking is not supported: it lights all, and all cast shadows'
+        )
+
     scale = np.linalg.norm(matrix[:3, :3], axis=0)
     direction = -matrix[:3, 2] / scale[2] if scale[2] > 0 else np.array([0.0, 0.0, -1.0])
     common = {
