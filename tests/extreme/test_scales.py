@@ -34,7 +34,7 @@ def test_powers_of_two_change_no_picture(name, technique, within):
     plain = picture(case, technique)
     for scale in (SMALL, LARGE):
         apart = np.abs(picture(scaled(case, scale), technique) - plain)
-        # Measured 0 throughout.
+        # Measured 0 but for indirect light: 4.8e-7.
         within(
             f"{len(NAMES)} scenes, 3 techniques, times 2^-30 and 2^30",
             "largest difference of a pixel",

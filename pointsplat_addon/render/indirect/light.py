@@ -345,7 +345,11 @@ def _with_neighbours(
         others.append(found)
         weights.append(np.where((keys[found] == wanted) & (alike > ALIKE), weight, 0.0))
     total = np.stack(weights)
-    return BounceReceivers(rows, np.stack(others), (total / total.sum(axis=0)).astype(np.float32))
+    # In the order of the surfels: that of keys depends on the unit of length.
+    order = np.argsort(rows)
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    return BounceReceivers(rows[order], place[np.stack(others)], (total / total.sum(axis=0)).astype(np.float32))
 
 
 def world_names(lighting: tuple[str, ...]) -> tuple[str, ...]:
