@@ -41,9 +41,11 @@ int material_row;
 // lead to the others.
 vec3 ps_weights(vec3 a, vec3 b, vec3 q)
 {
-  float aa = dot(a, a), ab = dot(a, b), bb = dot(b, b);
-  float det = aa * bb - ab * ab;
-  vec2 w = det > 0.0 ? vec2(bb * dot(q, a) - ab * dot(q, b), aa * dot(q, b) - ab * dot(q, a)) / det : vec2(1.0 / 3.0);
+  float aa = dot(a, a), ab = dot(a, b), bb = dot(b, b), qa = dot(q, a), qb = dot(q, b);
+  // No products of two of these, which would leave float32's range where a unit is large.
+  vec2 share = ab / max(vec2(bb, aa), vec2(1e-37)), of_edges = vec2(aa, bb) - share * ab;
+  bool thin = min(of_edges.x, of_edges.y) <= 0.0;
+  vec2 w = thin ? vec2(1.0 / 3.0) : (vec2(qa, qb) - share * vec2(qb, qa)) / of_edges;
   vec3 weights = clamp(vec3(1.0 - w.x - w.y, w), vec3(0.0), vec3(1.0));
   return weights / (weights.x + weights.y + weights.z);
 }
