@@ -35,9 +35,9 @@ def inner(pixels: np.ndarray) -> np.ndarray:
 
 
 def test_even_and_slowly_changing_light_is_interpolated():
-    """Even light exactly; of a ramp of 1 to 1.5 the worst error found is 0.0016."""
+    """Even light exactly; of a ramp of 1 to 1.5 the worst error found is 8.8e-6: slopes are flattened."""
     ramp = np.tile(np.linspace(1, 1.5, TILES), TILES)
-    for light, worst in ((np.ones(TILES**2), 1e-6), (ramp, 0.002)):
+    for light, worst in ((np.ones(TILES**2), 1e-6), (ramp, 2e-5)):
         made, pixels = known(light, 0.0, UP)
         rows = inner(pixels)
         found, valid = made.interpolated(rows, pixels[rows])

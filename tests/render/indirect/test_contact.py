@@ -1,0 +1,60 @@
+"""A picture of a black ball that touches a floor under an even sky, against the share of the sky that it hides."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from pointsplat_addon.core.scene.world import World
+from pointsplat_addon.render.renderer import Renderer
+from scripts.scenes import drawing
+from scripts.scenes.build import materials, mesh, moved, scene
+from scripts.scenes.cameras import camera
+from scripts.scenes.case import Case
+from scripts.scenes.indirect_cases import LAID, SETTINGS
+from scripts.scenes.meshes import plane_mesh, sphere_mesh
+
+EYE, SIZE = (0.0, -6.0, 3.5), (192, 108)
+RADIUS = 0.8
+MIDDLE = np.array([0, 0, RADIUS])  # of the ball; the floor is at 0
+
+
+def contact() -> Case:
+    table = materials(2, base_color=[[1.0] * 3, [0.0] * 3], specular=[0.0] * 2, roughness=[1.0] * 2)
+    ball = replace(sphere_mesh("black ball", 48), materials=(1,), material=None)
+    things = (
+        (mesh(plane_mesh("large floor", 30.0), "POLYGONS"), LAID),
+        (mesh(ball, "POLYGONS"), moved(MIDDLE, RADIUS)),
+    )
+    lit = scene(*things, lights=(), world=World(np.ones(3)), table=table)
+    return Case(lit, camera(EYE, (0, 0, 0.6), SIZE), replace(SETTINGS, bounces=0, samples=16))
+
+
+def floor_points(case: Case) -> tuple[np.ndarray, np.ndarray]:
+    """Where rays through the pixels' centres meet the floor, (H, W, 3), and which meet it first, (H, W) bool."""
+    seen = case.camera
+    y, x = np.mgrid[0 : SIZE[1], 0 : SIZE[0]] + 0.5
+    ndc = np.stack([2 * x / SIZE[0] - 1, 2 * y / SIZE[1] - 1, np.full(x.shape, -1.0), np.ones(x.shape)], axis=-1)
+    near = ndc @ np.linalg.inv(seen.clip_from_view @ seen.view_from_world).T
+    eye = np.linalg.inv(seen.view_from_world)[:3, 3]
+    ray = near[..., :3] / near[..., 3:] - eye
+    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.where(ray[..., 2] < 0, -eye[2] / ray[..., 2], np.nan)
+    offset = MIDDLE - eye
+    apart = np.sqrt(offset @ offset - (ray @ offset) ** 2)
+    pixel = 0.02 * t  # wider than one
+    return eye + t[..., None] * ray, (t < 14) & (apart > RADIUS + pixel)
+
+
+def test_a_floor_darkens_towards_what_touches_it():
+    case = contact()
+    renderer = Renderer(drawing.opengl().device)
+    found = renderer.render(case.scene, case.request(frozenset({"combined"}), 16)).pixels["combined"][..., 0]
+    renderer.release()
+    place, open_floor = floor_points(case)
+    d2 = np.square(place - MIDDLE).sum(axis=-1)
+    truth = 1 - RADIUS**3 / d2**1.5
+    off = (found - truth)[open_floor]
+    # By means of receivers in place of planes: 0.034 and 0.26.
+    assert np.sqrt(np.mean(off**2)) < 0.008  # 0.0070
+    assert np.abs(off).max() < 0.06  # 0.051, next to the ball
