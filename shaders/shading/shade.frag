@@ -21,7 +21,7 @@
 #include "lib/geometry/finite.glsl"
 #include "lib/geometry/coverage.glsl"
 #ifdef PS_STRANDS
-#include "lib/light/hair.glsl"
+#include "lib/strands/hair.glsl"
 #endif
 #ifdef PS_GROUPED
 #include "lib/visibility/listed.glsl"

@@ -1,5 +1,5 @@
 // Segments of strands into the G-buffer that points and polygons share. Tubes are met by the pixels' rays. What is too
-// narrow for its own normals keeps its tangent (PS_STRAND), which lib/light/hair.glsl shades.
+// narrow for its own normals keeps its tangent (PS_STRAND), which lib/strands/hair.glsl shades.
 
 #include "lib/geometry/surfel.glsl"
 #include "lib/data/store.glsl"

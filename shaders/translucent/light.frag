@@ -20,7 +20,7 @@
 #include "lib/splat/defocus.glsl"
 #endif
 #ifdef PS_STRANDS
-#include "lib/light/hair.glsl"
+#include "lib/strands/hair.glsl"
 #endif
 
 #define PS_LOW_PASS 0.04  // pixels^2: splats smaller than a pixel are not missed between the pixels' centres

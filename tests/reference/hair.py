@@ -1,7 +1,8 @@
 """Hair of Chiang et al. 2016 as Cycles evaluates it: at each offset across a strand, in float64.
 
-shaders/lib/light/hair.glsl draws the mean over the width of a strand, with the centre of each lobe at one angle (twin:
-hair_lighting.py). Here each offset has its own path; their mean is what a strand scatters that is seen as a whole.
+shaders/lib/strands/hair.glsl draws the mean over the width of a strand, with the centre of each lobe at one angle
+(twin: hair_lighting.py). Here each offset has its own path; their mean is what a strand scatters that is seen as a
+whole.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Light on strands that are seen across all their width, in float64: the twin of shaders/lib/light/hair.glsl.
+"""Light on strands that are seen across all their width, in float64: the twin of shaders/lib/strands/hair.glsl.
 
 Hair is the model of Chiang et al. 2016 from afar: reflection R, transmission TT, internal reflection TRT and all
 further bounces, each a longitudinal lobe (d'Eon et al. 2011) times an azimuthal one, of energies that are means over

@@ -1,4 +1,4 @@
-"""Parameters of hair's BSDF for shaders/lib/light/hair.glsl, and how much scattered light leaves a mass of hair.
+"""Parameters of hair's BSDF for shaders/lib/strands/hair.glsl, and how much scattered light leaves a mass of hair.
 
 The model is described in tests/reference/hair_lighting.py, its float64 twin.
 """

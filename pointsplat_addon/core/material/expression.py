@@ -36,9 +36,8 @@ class SampleInputs:
     bitangent_sign: np.ndarray | None = None  # (N,), bitangent = sign * normal x tangent; None: 1
     # Values of the objects that the samples lie on, by name, (N, C), or (1, C) where one object holds all of them
     objects: dict[str, np.ndarray] = field(default_factory=dict)
-    backfacing: np.ndarray | None = (
-        None  # (N,) bool: the side is seen where the triangle's normal does not point; None: nowhere
-    )
+    # (N,) bool: the side is seen where the triangle's normal does not point; None: nowhere
+    backfacing: np.ndarray | None = None
     count: int | None = None  # N; None: the length of any array given
     # The inputs at the ends of two conjugate half-diameters of each sample's splat: images are filtered that wide
     displaced: tuple[SampleInputs, SampleInputs] | None = None

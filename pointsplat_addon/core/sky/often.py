@@ -12,9 +12,7 @@ from .scattering import depth_to_end, hits_ground, path_length
 HEIGHTS, COSINES = 12, 20  # of the table; heights are closer near the ground, cosines near the horizon
 DIRECTIONS, STEPS = 32, 20
 GROUND_ALBEDO = 0.3
-SHARE = (
-    0.8  # of the light by equation 10: skies of Cycles have so much of it, measured at elevations from 5 to 90 degrees
-)
+SHARE = 0.8  # of the light by equation 10: measured on skies of Cycles at elevations from 5 to 90 degrees
 LOWEST = 50.0  # metres: the least height, and the least depth below the end
 
 

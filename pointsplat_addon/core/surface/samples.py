@@ -21,9 +21,8 @@ class Samples:
     ellipse: np.ndarray | None = None
 
     object: np.ndarray | None = None  # (N,) integers, rows of Mesh.objects; None: all lie on the first
-    backfacing: np.ndarray | None = (
-        None  # (N,) bool: seen from where the triangle's normal does not point; None: nowhere
-    )
+    # (N,) bool: seen from where the triangle's normal does not point; None: nowhere
+    backfacing: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.triangle)

@@ -4,7 +4,6 @@
 
 #define PS_LIFT 2.0  // standard deviations: of a captured surface, splats lie so far above and below each other
 
-
 vec3 ps_captured_light(vec3 position, vec3 normal, vec3 to_eye, int light_count)
 {
 #if defined(PS_SHADOWED) && !defined(PS_HAS_LIGHTS)
@@ -12,23 +11,8 @@ vec3 ps_captured_light(vec3 position, vec3 normal, vec3 to_eye, int light_count)
 #elif defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT)
   PsLobes lobes = ps_lobes(PsSurface(vec3(1.0), vec3(0.0), 1.0, 0.0, 1.0), normal, vec3(0.0), to_eye);
   lobes.diffuse = vec3(1.0);
-  lobes.reflectance = vec3(0.0);
-#ifdef PS_DIFFUSE_LOBES
-  lobes.even = lobes.diffuse;
-#endif
-#ifdef PS_ROUGH_DIFFUSE
-  lobes.rough = 0.0;
-#endif
-#ifdef PS_TOON
-  lobes.toon = vec3(0.0);
-#endif
-#ifdef PS_SHEEN
-  lobes.fibres = vec3(0.0);
-#endif
-  lobes.dielectric_scale = PS_DIELECTRIC(0.0);
-#ifdef PS_HAS_METAL
-  lobes.metal_scale = vec3(0.0);
-#endif
+  ps_leave_out_glossy(lobes);
+  ps_keep_lambert(lobes);
   vec3 lit = ps_shade_world(lobes);
 #ifdef PS_SHADOWED
   ps_arrived = lit;

@@ -2,7 +2,7 @@
 // the eye, and the
 // material; what the surface reflects on the lower row, the rest above. FURNACE: radiance in a uniform world.
 #include "lib/light/lights.glsl"
-#include "lib/light/hair.glsl"
+#include "lib/strands/hair.glsl"
 
 void main() {
   int x = int(gl_FragCoord.x);
