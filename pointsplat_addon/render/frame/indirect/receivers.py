@@ -6,6 +6,8 @@ camera moves, mostly the same place of a surface.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ....core.indirect.sites import FINE, Sites, cells, hashed, sites
@@ -15,6 +17,7 @@ from ...passes.uniforms import SampleView
 TURNS = 2  # steps of normals along each axis, either way
 ALIKE = 0.95  # cosine between normals of a receiver and of what the picture shows where its cell's middle is
 SAME_PLANE, SUNK = 0.1, 0.01  # edges that the middle may lie above that, and below: in hollows it would be in the dark
+LIFT = 0.05  # edges that sites are raised: what stands for a curved surface lies now above, now below it
 WIDEST = 1.5  # edges of cells over the side of the squares of pixels that they stand for, at most; half of it at least
 
 
@@ -41,7 +44,7 @@ class Groups:
 
 def sites_of(groups: Groups, rows: np.ndarray, level: np.ndarray, view: SampleView, sole: np.ndarray) -> Sites:
     """Returns the sites of groups `rows` (n,) in cells of 2^level, (n,): the middle of each cell, in the group's plane,
-    where the picture shows that this surface is there; else a place next to the group.
+    where the picture shows that this surface is there; else a place next to the group. Both are raised a little.
 
     `sole`: (H * W,), of sole_groups.
     """
@@ -59,7 +62,8 @@ def sites_of(groups: Groups, rows: np.ndarray, level: np.ndarray, view: SampleVi
     within &= other >= 0
     off = ((middle.position - groups.position[other]) * groups.normal[other]).sum(axis=1) / np.exp2(level)
     alike = (groups.normal[other] * normal).sum(axis=1) > ALIKE
-    return middle.take(within & alike & (off > -SUNK) & (off < SAME_PLANE), near)
+    found = middle.take(within & alike & (off > -SUNK) & (off < SAME_PLANE), near)
+    return replace(found, position=found.position + (LIFT * np.exp2(level))[:, None] * found.normal)
 
 
 def sole_groups(groups: Groups, view: SampleView) -> np.ndarray:
