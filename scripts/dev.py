@@ -392,7 +392,7 @@ def test(args, rest):
     shares = [[] for _ in pythons]
     if not args.long and len(pythons) > 1:
         shares = [["--share", "%d/%d" % (i, len(pythons))] for i in range(len(pythons))]
-        say("tests of drawing that do not depend on Blender run with one Python each: --long runs all with each")
+        say("tests that hardly depend on Blender and Python run with one Python each: --long runs all with each")
     tasks = [(python, options + share, paths) for paths in groups for python, share in zip(pythons, shares)]  # noqa: B905
     found = run_all(tasks, args.jobs or min(2, os.cpu_count() or 1), args.limit or (LONG_LIMIT if args.long else LIMIT))
     # A file whose tests are all deselected is no failure, as long as some other ran.

@@ -10,14 +10,16 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 # What these tests check does not depend on Blender, and hardly on the version of Python.
-SHARED = ROOT / "tests" / "render", ROOT / "tests" / "extreme"
+SHARED = tuple(ROOT / "tests" / room for room in ("core", "reference", "render", "extreme"))
+# Pictures beside Cycles' and on both devices: each file has so many that both Pythons, and so both Blenders, draw some.
+SHARED_FILES = ROOT / "tests" / "blender" / "test_*_cycles.py", ROOT / "tests" / "blender" / "test_*devices*.py"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--share",
         metavar="I/N",
-        help="of the tests in tests/render and tests/extreme, only those whose names' hash is I modulo N",
+        help="of the tests that hardly depend on Blender and Python, only those whose names' hash is I modulo N",
     )
 
 
@@ -30,6 +32,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         # The hash depends on the test's own name alone: other tests may come and go.
         shared = any(folder in item.path.parents for folder in SHARED)
+        shared = shared or any(item.path.match(str(files)) for files in SHARED_FILES)
         (rest if shared and zlib.crc32(item.nodeid.encode()) % count != index else kept).append(item)
     config.hook.pytest_deselected(items=rest)
     items[:] = kept

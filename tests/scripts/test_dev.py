@@ -153,12 +153,12 @@ def test_a_process_that_crashes_runs_once_more(
 def test_shares_of_the_drawing_tests_have_no_test_twice_and_leave_none_out() -> None:
     def names(*options: str) -> list[str]:
         command = [sys.executable, "-m", "pytest", "--collect-only", "-qq", "-o", "addopts=", *options]
-        paths = ["tests/render/plan/test_technique.py", "tests/core/splat/test_kernel.py"]
+        paths = ["tests/render/plan/test_technique.py", "tests/scripts/test_beside_cycles.py"]
         out = subprocess.run([*command, "-v", *paths], cwd=ROOT, capture_output=True, text=True, check=True).stdout
         return sorted(line for line in out.splitlines() if "::" in line)
 
     whole, shares = names(), [names("--share", f"{i}/2") for i in range(2)]
-    both = [name for name in whole if "tests/core" in name]
+    both = [name for name in whole if "tests/scripts" in name]
     assert both
     assert set(shares[0]) & set(shares[1]) == set(both)
     assert sorted(set(shares[0]) | set(shares[1])) == whole

@@ -142,7 +142,7 @@ def long(*names: str) -> list:
 
 
 # "empty", "unlit" and "in_smoke", below 1e-5, have no error to compare; "many_towers" takes too long.
-SLOW = ("panes", "tinted_panes", "split_mesh", "textured", "tinted_smoke")
+SLOW = ("panes", "tinted_panes", "panes_of_functions", "split_mesh", "textured", "tinted_smoke", "in_fog")
 ONE_SAMPLE = ("captured_alone", "captured_in_smoke", "captured_trained")  # is all that these take: nothing compares
 SHOWN = (
     *(name for name in CASES if name not in {"empty", "unlit", "in_smoke", "many_towers", *ONE_SAMPLE, *SLOW}),
@@ -157,7 +157,7 @@ LENSES = (
     ),
 )  # fmt: skip
 SAMPLED = ("smoke", *long("cube", "foliage", "mixed"))
-LAMPS = ("strands", "smoke", *long("foliage", "mixed", "tinted_smoke"))
+LAMPS = ("strands", *long("foliage", "mixed", "smoke", "tinted_smoke"))
 CONVERGED = 513  # samples
 
 

@@ -45,7 +45,7 @@ def test_no_pixel_on_the_seam_differs(samples, technique):
     whole, left, right = halves()
     truth, _ = picture(samples, (whole, "POLYGONS"), technique=technique)
     mixed, index = picture(samples, (left, "POINTS"), (right, "POLYGONS"), technique=technique)
-    # Silhouettes of points are another matter: tests/blender/test_silhouettes.py.
+    # Silhouettes of points are another matter: tests/blender/test_silhouettes_cycles.py.
     inside = eroded(eroded(truth[..., 3] >= 254))
     assert min(np.count_nonzero(inside & (index == k)) for k in (1, 2)) > 1000
     difference = np.abs(mixed - truth).max(axis=2)

@@ -257,10 +257,12 @@ def test_light_among_balls_is_that_of_rays():
 def first_hits(origin: np.ndarray, direction: np.ndarray, centre: np.ndarray, radius: float) -> np.ndarray:
     """Distances at which parallel rays from (N, 3) meet the first of balls (M, 3), beyond 1e-9; infinite: none."""
     near = np.full(len(origin), np.inf)
+    across = np.linalg.svd(direction[None])[2][1:]
+    beside = centre @ across[0], centre @ across[1]
     for rows in np.array_split(np.arange(len(origin)), max(1, len(origin) * len(centre) // 4_000_000)):
-        offset = centre - origin[rows, None]
-        along = offset @ direction
-        half = radius**2 - (np.square(offset).sum(axis=2) - along**2)
+        along = centre @ direction - (origin[rows] @ direction)[:, None]
+        from_ray = beside[0] - (origin[rows] @ across[0])[:, None], beside[1] - (origin[rows] @ across[1])[:, None]
+        half = radius**2 - from_ray[0] ** 2 - from_ray[1] ** 2
         with np.errstate(invalid="ignore"):
             entry = np.where(half > 0, along - np.sqrt(half), np.inf)
         near[rows] = np.where(entry > 1e-9, entry, np.inf).min(axis=1)

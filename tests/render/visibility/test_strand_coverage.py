@@ -166,7 +166,7 @@ def fan(radius: float, lines: Sequence[tuple[np.ndarray, np.ndarray]], key: str)
     return build.strand_lines(f"{key} {radius}", [np.stack(ends) for ends in lines], radius)
 
 
-@pytest.mark.parametrize("view", ["wide", "narrow pixels"])
+@pytest.mark.parametrize("view", [pytest.param("wide", marks=pytest.mark.long), "narrow pixels"])
 def test_thin_strands_cover_their_share_of_tubes_that_rays_meet(view):
     """In all parts of a wide picture, near and far, and where pixels are not square: outlines are straight, and as far
     apart as tubes are wide."""
