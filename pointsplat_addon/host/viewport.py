@@ -15,6 +15,7 @@ from ..core.scene import camera as camera_module
 from ..core.scene import scene as scene_module
 from ..core.scene import settings as settings_module
 from ..core.splat.pixel_radii import with_pixel_radii
+from ..render.budget.lighting import Lighting
 from ..render.budget.viewport import Moving, PixelPace, Refining, wait
 from ..render.device.protocol import DeviceError
 from ..render.frame.frame import Frame
@@ -46,6 +47,7 @@ class Viewport:
         self._frame: Frame | None = None
         self._view: tuple | None = None  # what the frame depends on besides the scene
         self._pacing: Moving | Refining | None = None  # keeps the frame within its budget
+        self._lighting: Lighting | None = None  # brings indirect light into a view that stands still
         self._coarse = False
         self._pace = PixelPace()
         self._changed_at = float("-inf")
@@ -95,6 +97,8 @@ class Viewport:
         frame = self._frame_for(self._scene, camera, settings, pixel_size(depsgraph.scene_eval.render))
         more = frame.sample() if self._pacing is None else self._pacing.sample(frame)
         streamed = frame.frame_plan.streamed
+        if not (more or self._coarse or self._hasty):
+            frame, more = self._lit(frame)
         if streamed is not None and frame is not before:
             self._made_at, self._made_in = began, time.perf_counter() - began
         if self._coarse and frame is not before:
@@ -106,6 +110,20 @@ class Viewport:
             engine.tag_redraw()
         if streamed is not None and (streamed.waiting or self._hasty):
             page_arrivals.watch()
+
+    def _lit(self, frame: Frame) -> tuple[Frame, bool]:
+        """The frame that is shown once this one is complete: with indirect light, as soon as it has all samples; and
+        whether there is more to do."""
+        lighting = self._lighting
+        if lighting is None:
+            return frame, False
+        lighting.go_on()
+        if lighting.done:
+            self._lighting = None
+            if lighting.frame is not None:
+                frame.release()
+                frame = self._frame = lighting.frame
+        return frame, not lighting.done
 
     def _frame_for(
         self, scene: scene_module.Scene, camera: camera_module.Camera, settings: settings_module.Settings, pixel: int
@@ -129,6 +147,8 @@ class Viewport:
         self._drop()
         scene = with_pixel_radii(scene, camera)
         camera = camera.with_coarser_pixels(pixel)
+        renderer, with_indirect = MAIN_GPU.renderer(), settings.use_indirect
+        settings = replace(settings, use_indirect=False)
         request = Request(
             camera,
             settings,
@@ -137,7 +157,6 @@ class Viewport:
             interactive=True,
             moving=self._coarse,
         )
-        renderer = MAIN_GPU.renderer()
         self._pacing = None
         if self._coarse and settings.budget == "TIME":
             self._pacing = Moving(renderer, scene, request)
@@ -158,6 +177,10 @@ class Viewport:
             request = replace(request, samples=min(request.samples, NAVIGATION_SAMPLES))
         if self._pacing is not None:
             request = self._pacing.request
+        if with_indirect and not (self._coarse or self._hasty):
+            lit = replace(request, settings=replace(request.settings, use_indirect=True))
+            again = Refining(lit) if isinstance(self._pacing, Refining) else None
+            self._lighting = Lighting(renderer, scene, lit, Frame.sample if again is None else again.sample)
         self._frame = renderer.start(scene, request)
         return self._frame
 
@@ -181,7 +204,9 @@ class Viewport:
         """Release the frame, so that the next drawing starts another."""
         if self._frame is not None:
             self._frame.release()
-        self._frame = None
+        if self._lighting is not None:
+            self._lighting.release()
+        self._frame = self._lighting = None
 
 
 def _present(frame: Frame, camera: camera_module.Camera, smooth: bool) -> None:

@@ -19,6 +19,7 @@ from .device.protocol import Device
 from .frame.frame import Frame
 from .frame.report import report
 from .frame.targets import Pool
+from .indirect.known_sites import Slices
 from .light_passes import Light, light_passes
 from .passes.outputs import OF_LIGHT
 from .passes.shading.terms import ENVIRONMENT, Term
@@ -148,9 +149,13 @@ class Renderer:
         report["passes"] = [*report["passes"], {"name": "light passes", "ms": round(1000 * seconds, 3)}]
         return replace(result, pixels={**result.pixels, **found}, report=report)
 
-    def start(self, scene: Scene, request: Request) -> Frame:
-        """Returns a frame without samples; the caller draws them one by one and releases it."""
-        frame = Frame(self, scene, request, presented=True)
+    def start(self, scene: Scene, request: Request, slices: Slices | None = None) -> Frame:
+        """Returns a frame without samples; the caller draws them one by one and releases it.
+
+        `slices`: in which indirect light is gathered; None: all at once. Cancelled: gathering was put off; what was
+        gathered is kept for the next frame.
+        """
+        frame = Frame(self, scene, request, presented=True, slices=slices)
         frame.clock.slow = False
         return frame
 

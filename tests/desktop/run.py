@@ -212,6 +212,36 @@ def blurred(folder, meter):
     yield 0.5
 
 
+def indirect(folder):
+    """Indirect light comes into a view that stands still, while it can be used, and once more when it has moved."""
+    _, area, _, space = viewport()
+    settings, meter, view = bpy.context.scene.pointsplat, Meter(), space.region_3d
+    background = bpy.context.scene.world.node_tree.nodes["Background"].inputs["Strength"]
+    strength, background.default_value = background.default_value, 10.0  # a sky that can be hidden
+    view.view_perspective = "CAMERA"
+    try:
+        yield from rest(meter, area)
+        without = shoot(folder, "indirect_off")
+        settings.use_indirect, meter.longest = True, (0.0, 0.0)
+        yield from rest(meter, area)
+        meter.tell_longest("while indirect light is gathered")
+        lit = shoot(folder, "indirect_on")
+        check(difference(without, lit) > 0.001, "indirect light comes into a view that stands still")
+        for step in range(4):
+            view.view_camera_offset = 0.02 * step, 0
+            area.tag_redraw()
+            yield 0.1
+        view.view_camera_offset = 0, 0
+        yield from rest(meter, area)
+        again = difference(lit, shoot(folder, "indirect_again"))
+        check(again < difference(without, lit) / 10, "and comes again once it has moved")
+    finally:
+        meter.end()
+    settings.use_indirect, background.default_value = False, strength
+    view.view_perspective = "PERSP"
+    yield 0.5
+
+
 def budgets(folder):
     """A time for a view that moves, an error for one that stands still and for F12, and where both are told."""
     _, area, _, space = viewport()
@@ -447,6 +477,7 @@ def story(args):
         "views": lambda: views(args.output),
         "handling": lambda: handling(args.output),
         "lens": lambda: lens(args.output),
+        "indirect": lambda: indirect(args.output),
         "budgets": lambda: budgets(args.output),
         "render": lambda: final_render(args.output),
         "cancel": cancelled_render,

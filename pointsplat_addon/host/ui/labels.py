@@ -179,8 +179,8 @@ LABELS: dict[str, tuple[str, str]] = {
     ),
     "use_indirect": (
         "Indirect Light",
-        "Objects hide the world from each other, and send each other light, as far as it is diffuse, in final "
-        "renders by the Visibility Buffer",
+        "Objects hide the world from each other, and send each other light, as far as it is diffuse. Drawn by the "
+        "Visibility Buffer; it comes into viewports once the view stands still",
     ),
     "bounces": (
         "Bounces",

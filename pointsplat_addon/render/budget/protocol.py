@@ -6,8 +6,10 @@ from collections.abc import Callable
 from typing import Protocol
 
 from ...core.scene.scene import Scene
+from ..cache.store import Store
 from ..device.protocol import Device
 from ..frame.frame import Frame
+from ..indirect.known_sites import Slices
 from ..plan.request import Request, Result
 from .pacing import Pacers
 from .watch import Watch
@@ -22,6 +24,11 @@ class SampleRenderer(Protocol):
     @property
     def device(self) -> Device:
         """The device that draws."""
+        ...
+
+    @property
+    def store(self) -> Store:
+        """What is prepared of scenes."""
         ...
 
     @property
@@ -40,6 +47,6 @@ class SampleRenderer(Protocol):
         """Draws samples of a picture until there are enough, or `watch` says so."""
         ...
 
-    def start(self, scene: Scene, request: Request) -> Frame:
-        """Prepares a picture that is then drawn sample by sample."""
+    def start(self, scene: Scene, request: Request, slices: Slices | None = None) -> Frame:
+        """Prepares a picture that is then drawn sample by sample. Cancelled: `slices` put gathering off."""
         ...

@@ -100,6 +100,7 @@ class Kind(Enum):
     PANE_TEXTURE = auto()
     DRAW_ORDER = auto()  # of the translucent splats of one of the frames in the making
     LIGHT_SHARES = auto()  # that reach the translucent splats of one of the frames in the making
+    LIGHT_BAKER = auto()  # surfels that are being lit
     LIGHT_TREE = auto()  # of all that hides or scatters light, with what leaves it
     # Of the world
     IMAGE_DIGEST = auto()

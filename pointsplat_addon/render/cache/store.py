@@ -30,6 +30,7 @@ class Store(Cache):
         self._spacing: dict[Key, float] = {}
         self._worker: ThreadPoolExecutor | None = None
         self._pending: dict[Key, Future] = {}
+        self._failed: dict[Key, Exception] = {}  # what was raised while an item was made on the store's thread
         self._streamed: OrderedDict[str, None] = OrderedDict()  # what views drew of scans read by pages, latest last
 
     def make_later(self, key: Key, make: Callable[[], Any]) -> None:
@@ -40,9 +41,21 @@ class Store(Cache):
             self._worker = self._worker or ThreadPoolExecutor(1, thread_name_prefix="PointSplat builds")
             self._pending[key] = self._worker.submit(self._make, key, make)
 
+    def made_later(self, key: Key, make: Callable[[], Any]) -> bool:
+        """Returns whether `key` is in the store; else it will be, as by `make_later`. Raises what `make` has raised."""
+        with self._lock:
+            if (error := self._failed.pop(key, None)) is not None:
+                raise error
+            self.make_later(key, make)
+            return key in self._items
+
     def _make(self, key: Key, make: Callable[[], Any]) -> None:
         try:
             self.lookup(key, make)
+        except Exception as error:
+            with self._lock:
+                self._failed[key] = error
+            raise
         finally:
             with self._lock:
                 self._pending.pop(key, None)
@@ -80,3 +93,4 @@ class Store(Cache):
             super().clear()
             self._spacing.clear()
             self._pending.clear()
+            self._failed.clear()

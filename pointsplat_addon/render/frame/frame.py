@@ -14,6 +14,7 @@ from ...core.scene.scene import Scene
 from ...core.strand.segments import sample_offsets
 from ..device.clock import Clock
 from ..device.protocol import Texture
+from ..indirect.known_sites import Slices
 from ..passes.captured.half_depth import half_depth
 from ..passes.gbuffer import GBuffer
 from ..passes.grouping.centre import CentreDepths
@@ -57,12 +58,16 @@ class Frame:
         cancelled: Callable[[], bool] = lambda: False,
         presented: bool = False,
         picture: bool = True,
+        slices: Slices | None = None,
     ) -> None:
         """Plans the picture and allocates what it needs on the device.
 
         `presented`: the picture is shown between samples. `picture`: draw Combined, not only auxiliary passes.
+        `slices`: in which indirect light is gathered; None: all at once. Cancelled: the picture is not wanted, or
+        gathering was put off.
         """
         self.renderer, self.presented = renderer, presented
+        self.slices = Slices() if slices is None else slices
         self.device = renderer.device
         self.clock = Clock(self.device, cancelled)
         self.whole = scene  # before anything was left out of it
@@ -178,12 +183,12 @@ class Frame:
         scene, plan, check = frame_plan.scene, frame_plan.plan, self.clock.check
 
         def make() -> None:
-            found.append(kept_light(device, uploads, scene, camera, plan, bounces, store, check))
+            found.append(kept_light(device, uploads, scene, camera, plan, bounces, store, check, self.slices))
 
         self.clock.run("light tree", make)
         if found[0] is None:
             return None
-        return GroupsInIndirectLight(device, found[0], uploads, plan.variant)
+        return GroupsInIndirectLight(device, found[0], uploads, plan.variant, self.slices)
 
     # Parts
 
@@ -209,7 +214,8 @@ class Frame:
     # Drawing
 
     def sample(self) -> bool:
-        """Draws one more sample; returns False when there were enough."""
+        """Draws one more sample; returns False when there were enough. Cancelled: gathering indirect light was put off;
+        the frame can only be released."""
         if self.complete:
             return False
         if not self.frame_plan.trivial:

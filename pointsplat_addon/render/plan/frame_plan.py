@@ -229,7 +229,7 @@ def make_frame_plan(
         out_of_view,
         "" if defocus_blur(camera) is None or through_lens else "nothing is out of focus",
         LENS_SAMPLES_BLUR if through_lens else why_not_blurred(scene, camera),
-        why_no_indirect(request.settings, request.interactive, technique.name),
+        why_no_indirect(request.settings, technique.name),
         why_no_eye_dome(request.settings, technique.name, _has_opaque(prepared), prepared.out_of_focus is not None),
         linear,
     )

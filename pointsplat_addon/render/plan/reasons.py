@@ -141,12 +141,10 @@ def reasons(plan: Plan, passes: frozenset[str], absences: Absences) -> dict[str,
     return found | _of_translucent(plan, not unshadowed, unseen.get("translucent", "nothing is translucent"))
 
 
-def why_no_indirect(settings: Settings, interactive: bool, technique: str) -> str:
+def why_no_indirect(settings: Settings, technique: str) -> str:
     """Returns why a picture has no indirect light; empty where it has, if there is any."""
     if not settings.use_indirect:
         return "indirect light is switched off"
-    if interactive:
-        return "views that move have none"
     return "" if technique == "VISIBILITY" else f"the technique {technique} has no groups for it"
 
 

@@ -115,5 +115,5 @@ def test_processes_share_it_on_disk(tmp_path, monkeypatch):
         own = renderer(store)
         found.append(picture(own, case, case.camera))
         own.release()
-        monkeypatch.setattr(kept, "bake_light", None)  # is not called
+        monkeypatch.setattr(kept, "Baker", None)  # is not called
     np.testing.assert_array_equal(*found)

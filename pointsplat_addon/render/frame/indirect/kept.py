@@ -13,8 +13,11 @@ from ....core.scene.scene import Scene
 from ...cache.keys import Key, Kind
 from ...cache.on_disk import form_of_records
 from ...cache.store import Store
+from ...device.clock import Cancelled
 from ...device.protocol import Device
-from ...indirect.light import BakedLight, IndirectLight, bake_light, world_names
+from ...indirect.bake import Baker
+from ...indirect.known_sites import Slices
+from ...indirect.light import BakedLight, IndirectLight, world_names
 from ...indirect.surfels import scene_density, scene_surfels
 from ...plan.plan import Plan
 from ..uploads.lighting import ArrayIdentity
@@ -32,10 +35,13 @@ def kept_light(
     bounces: int,
     store: Store,
     check: Callable[[], None],
+    slices: Slices,
 ) -> IndirectLight | None:
     """Returns the indirect light of a scene; None where nothing hides or scatters light.
 
-    It depends on the camera only as the density of surfels does. Raises what `check` raises.
+    It depends on the camera only as the density of surfels does. Raises what `check` raises. Cancelled: `slices` put
+    the rest off; what was made until then stays in the store. Unless they are endless, surfels are made on the store's
+    thread, and Cancelled is raised until they are there.
     """
     density, origin = scene_density(scene, camera, store)
     lighting = tuple(name for name in plan.lighting if name != "PS_SHADOW_NESTED")
@@ -48,16 +54,27 @@ def kept_light(
     )  # fmt: skip
     key = Key(Kind.LIGHT_TREE, tuple(geometry.key for geometry in scene.geometries), other=depends_on)
 
+    # Each device has its own, for a picture on another thread may need the same.
+    of_baker = Key(Kind.LIGHT_BAKER, key.content, other=(*depends_on, id(device)))
+
+    def make_baker() -> Baker | None:
+        surfels = scene_surfels(scene, density, origin, store, check if slices.endless else lambda: None)
+        return None if surfels is None else Baker(scene, surfels, lighting, bounces)
+
     def bake() -> BakedLight:
-        surfels = scene_surfels(scene, density, origin, store, check)
-        if surfels is None:
+        if not slices.endless and not store.made_later(of_baker, make_baker):
+            raise Cancelled
+        baker: Baker | None = store.lookup(of_baker, make_baker)
+        if baker is None:
             return BakedLight(origin, np.zeros((0, 16), np.float32))
         textures = light.textures
         if scene.lights and bounces > 0:
             shift = np.eye(4)
             shift[:3, 3] = -origin
             textures = light.textures_for_all_cameras(shift)
-        return bake_light(device, scene, surfels, lighting, textures, bounces, check)
+        baked = baker.bake(device, textures, slices, check)
+        store.drop({of_baker} & store.keys())
+        return baked
 
     def make() -> IndirectLight:
         baked = light.on_disk.lookup(key, bake, FORM, device.limits.driver)

@@ -8,7 +8,8 @@ import numpy as np
 
 from ....core.indirect.sites import Sites, hashed, quantised_directions, scrambled
 from ...device.protocol import Device, Target, Texture
-from ...indirect.light import IndirectLight
+from ...indirect.known_sites import Slices
+from ...indirect.light import IndirectLight, coherent_rows
 from ...passes.gbuffer import GBuffer, Variant
 from ...passes.indirect.group_points import GROUP_POINTS_BLOCK, group_points_program
 from ...passes.indirect.interpolate import INTERPOLATE, INTERPOLATE_BLOCK, TILE
@@ -27,15 +28,23 @@ SHARPEST = 24.0  # of a glossy lobe that the cells of a hemisphere resolve
 class GroupsInIndirectLight:
     """What the groups of a list receive of indirect light, in textures as long as the list."""
 
-    def __init__(self, device: Device, light: IndirectLight, uploads: Uploads, variant: Variant) -> None:
-        """`variant`: of the G-buffer of groups."""
+    def __init__(
+        self,
+        device: Device,
+        light: IndirectLight,
+        uploads: Uploads,
+        variant: Variant,
+        slices: Slices,
+    ) -> None:
+        """`variant`: of the G-buffer of groups. `slices`: in which they gather."""
         self._device, self._light, self._variant = device, light, variant
         self._materials = uploads.lighting.materials["ps_materials"]
         self._sky = uploads.lighting.sky
         self._lists: _Lists | None = None
+        self._slices = slices
 
     def gather(self, view: SampleView, surfaces: GBuffer, listed: Texture, entries: np.ndarray) -> dict[str, Texture]:
-        """Returns what shading reads, by sampler name.
+        """Returns what shading reads, by sampler name. Cancelled: gathering was put off.
 
         `surfaces`: attributes of the groups. `listed`: the list of groups, and `entries` (N, 2): pixel and layer of
         each of them.
@@ -97,7 +106,8 @@ class GroupsInIndirectLight:
             return np.column_stack([diffuse, np.zeros_like(diffuse)])
 
         if len(matte):
-            found[matte] = light.known.lookup(at.key[matte], gather_matte)
+            order = coherent_rows(at.position[matte], at.normal[matte])
+            found[matte] = light.known.lookup(at.key[matte], order, gather_matte, self._slices)
         if len(smooth):
             # Sites see the mirrored view as the quantised one, so that others find what was gathered.
             to_eye, alpha = to_eye[smooth], np.rint(roughness[smooth] * ROUGHNESSES) / ROUGHNESSES
@@ -113,7 +123,8 @@ class GroupsInIndirectLight:
                     at.position[rows], at.normal[rows], self._sky, mirror[some], lobe_sharpness(alpha[some])
                 )
 
-            found[smooth] = light.known.lookup(keys, gather_smooth)
+            order = coherent_rows(at.position[smooth], normal)
+            found[smooth] = light.known.lookup(keys, order, gather_smooth, self._slices)
         return found
 
     def _interpolate(
