@@ -264,3 +264,19 @@ def test_instances_of_points_are_named(scene):
     warnings = [warning for warning in sync().warnings if "look as the first" in warning]
     assert len(warnings) == 1
     assert "dots" in warnings[0]
+
+
+def test_values_of_faces_are_cycles(scene, tmp_path):
+    """Of faces with three, four and five corners, cut into triangles."""
+    data = bpy.data.meshes.new("faces")
+    rows = [[(0, 0), (2, 0), (2, 2), (0, 2)], [(2, 0), (4, 0), (4, 2), (3, 1), (2, 2)], [(0, 2), (4, 2), (0, 4)]]
+    data.from_pydata([(x, y, 0) for row in rows for x, y in row], [], [range(4), range(4, 9), range(9, 12)])
+    data.attributes.new("of faces", "FLOAT", "FACE").data.foreach_set("value", [0.75, 0.25, 1.5])
+    data.materials.append(glow("Attribute", "Color", attribute_name="of faces"))
+    bpy.context.collection.objects.link(bpy.data.objects.new("faces", data))
+    want = np.array([0.75, 0.75, 0.25, 1.5]) / 8 + 0.5  # in cells that one face fills
+    for engine in ("CYCLES", "POINTSPLAT"):
+        scene.render.engine = engine
+        cells = picture(scene, tmp_path)[..., :3].reshape(SIDE, PIXELS, SIDE, PIXELS, 3)[:, 3:5, :, 3:5]
+        found = cells.mean(axis=(1, 3, 4))[[0, 1, 0, 2], [0, 0, 3, 0]]
+        np.testing.assert_allclose(found, want, atol=1e-6)  # measured 6e-8

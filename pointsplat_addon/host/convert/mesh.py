@@ -46,7 +46,7 @@ def read_mesh(
         normal = arrays.view(mesh.corner_normals, (len(mesh.loops), 3), np.float32)
     uv = {m.name: arrays.values(mesh.attributes[m.name], 2, np.float32) for m in mesh.uv_layers}
     active = next((m.name for m in mesh.uv_layers if m.active_render), None)
-    colors = _read_colors(mesh, wanted)
+    colors = _read_colors(mesh, wanted, offsets)
     generated = _generated(mesh, position) if use_generated else None
 
     def build() -> Mesh:
@@ -127,8 +127,13 @@ def _triangle_corners(mesh: bpy.types.Mesh) -> Callable[[np.ndarray], np.ndarray
     return lambda values: values[corners]
 
 
-def _read_colors(mesh: bpy.types.Mesh, wanted: frozenset[str | None] | None) -> dict[str, tuple[str, np.ndarray]]:
-    """The wanted attributes by name, as (domain, colours (N, 4) as stored), the default colour attribute first."""
+def _read_colors(
+    mesh: bpy.types.Mesh, wanted: frozenset[str | None] | None, offsets: np.ndarray
+) -> dict[str, tuple[str, np.ndarray]]:
+    """The wanted attributes by name, as (POINT or CORNER, colours (N, 4) as stored), the default colours first.
+
+    offsets (P + 1,): the first corner of each polygon.
+    """
     default = mesh.color_attributes.default_color_name
     names: list[str] = sorted((a.name for a in mesh.color_attributes), key=lambda n: n != default)
     found: dict[str, tuple[str, np.ndarray]] = {}
@@ -139,10 +144,14 @@ def _read_colors(mesh: bpy.types.Mesh, wanted: frozenset[str | None] | None) -> 
     for name in sorted({n for n in wanted or () if n is not None} - set(found)):
         attribute = mesh.attributes.get(name)
         if attribute is not None and _readable(attribute) and name not in mesh.uv_layers:
-            found[name] = attribute.domain, attribute_as_color(attribute)
+            values = attribute_as_color(attribute)
+            if attribute.domain == "FACE":
+                found[name] = "CORNER", np.repeat(values, np.diff(offsets), axis=0)
+            else:
+                found[name] = attribute.domain, values
     return found
 
 
 def _readable(attribute: Any) -> bool:
     """Whether an attribute has a type and a domain that materials can read here."""
-    return attribute.data_type in READABLE_TYPES and attribute.domain in ("POINT", "CORNER")
+    return attribute.data_type in READABLE_TYPES and attribute.domain in ("POINT", "CORNER", "FACE")

@@ -25,7 +25,7 @@ vec3 ps_ball_irradiance(int index, ivec4 ends, vec3 position, out vec3 to_light)
   float share = 1.0 / (direction.w > 0.0 ? d2 + direction.w * direction.w : max(d2, direction.w * direction.w));
 #ifdef PS_HAS_SPOTS
   if (index >= ends.y && index < ends.z) {
-    share *= ps_cone(PsCone(direction.xyz, ps_light(index, 3), ps_light(index, 4)), -offset);
+    share *= ps_cone(ps_cone_of(index), -offset, 0.0);
   }
 #endif
 #ifdef PS_HAS_AREA_LIGHTS

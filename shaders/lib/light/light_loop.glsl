@@ -2,12 +2,6 @@
 
 #ifdef PS_HAS_LIGHTS
 
-// Rows of lights are sorted by kind; each kind but the last ends where this says.
-ivec4 ps_light_ends()
-{
-  return ivec4(texelFetch(ps_lights, ivec2(4, PS_WORLD_ROW), 0) + 0.5);
-}
-
 // Share of the light that light `index` sends to a point in view space which reaches it; the normal is 0 in a medium.
 #ifdef PS_REACHED
 vec3 ps_reached[4];  // known before

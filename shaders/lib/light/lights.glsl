@@ -18,10 +18,10 @@
 
 #include "lib/light/brdf.glsl"
 #include "lib/light/environment.glsl"
+#include "lib/light/emitted.glsl"
 #include "lib/shadow/shadow.glsl"
 #include "lib/light/lobe_share.glsl"
 #include "lib/light/round_lights.glsl"
-#include "lib/light/spot_lights.glsl"
 #include "lib/light/area_irradiance.glsl"
 #include "lib/light/area_lights.glsl"
 #include "lib/fog/fog.glsl"

@@ -1,6 +1,5 @@
 // Common to all kinds of lights: irradiance and reflection, quadratures over shapes, shares of lobes. For lights.glsl.
 
-#define PS_FIRST_LIGHT (PS_TABLE_ROWS + 2)
 #define PS_ELLIPSE_SIDES 24
 #define PS_SPREAD_CELLS 8
 #define PS_BLUR 0.06
@@ -29,11 +28,6 @@ PsReceived ps_received(float irradiance, vec3 specular, PsLobes lobes, vec3 from
 #else
   return PsReceived(irradiance, specular);
 #endif
-}
-
-vec4 ps_light(int index, int column)
-{
-  return texelFetch(ps_lights, ivec2(column, PS_FIRST_LIGHT + index), 0);
 }
 
 // Radiance that the surface reflects; the light's colour and position texels hold its factors.

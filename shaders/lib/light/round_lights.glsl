@@ -1,4 +1,4 @@
-// Suns, point lights and the unshaped light of spots: cones of light around one direction. For lights.glsl.
+// Suns, point lights and spots: cones of light around one direction. For lights.glsl.
 
 #ifdef PS_HAS_ROUND_LIGHTS
 
@@ -131,5 +131,60 @@ vec3 ps_point(int index, vec3 position, PsLobes lobes)
 #endif
   return ps_reflected(ps_local_light(lobes, light_position.xyz - position, radius), lobes, color, light_position.w);
 }
+
+#ifdef PS_HAS_SPOTS
+
+#ifdef PS_HAS_WIDE_LIGHTS
+
+#define PS_CONE_POINTS 16  // two rings of eight, of equal areas
+#define PS_CONE_PATCH 0.443113463  // width of what one of them stands for, over the light's radius: sqrt(pi / 16)
+#define PS_CONE_INWARD 0.966733  // so that points and patches together are spread as the disk is: sqrt(1 - 4 / 12 * pi / 16)
+
+// Means of the cone over the light's disk: plain, and weighted with n.l.
+vec2 ps_cone_means(PsCone cone, vec3 ray, float radius, vec3 normal)
+{
+  // Aligned with the cone, so that the camera's turning changes nothing.
+  float inverse = inversesqrt(max(dot(ray, ray), 1e-24));
+  vec3 to_light = -ray * inverse;
+  bool aside = abs(dot(to_light, cone.direction)) < 0.999;
+  vec3 side_u = normalize(cross(aside ? cone.direction : cone.axis_u.xyz, to_light));
+  vec3 side_v = cross(to_light, side_u);
+  float step = abs(radius), stretched = max(length(cone.axis_u.xyz), length(cone.axis_v.xyz));
+  float blurred = PS_CONE_PATCH * step * inverse * stretched;
+  int count = radius == 0.0 ? 1 : PS_CONE_POINTS;
+  vec2 azimuth = vec2(1.0, 0.0), total = vec2(0.0), weights = vec2(0.0);
+  for (int i = 0; i < count; i++) {
+    float away = step * PS_CONE_INWARD * (i < PS_CONE_POINTS / 2 ? 0.5 : 0.866025404);
+    vec3 from_point = ray - away * (azimuth.x * side_u + azimuth.y * side_v);
+    vec2 weight = vec2(1.0, max(-dot(from_point, normal), 0.0));
+    total += ps_cone(cone, from_point, blurred) * weight;
+    weights += weight;
+    // By an eighth of a turn; the outer ring begins half of that later.
+    azimuth = vec2(azimuth.x - azimuth.y, azimuth.x + azimuth.y) * 0.707106781;
+    azimuth = i + 1 == PS_CONE_POINTS / 2 ? vec2(0.923879533, 0.382683432) : azimuth;
+  }
+  float plain = total.x / weights.x;
+  return vec2(plain, weights.y > 0.0 ? total.y / weights.y : plain);
+}
+
+#endif
+
+vec3 ps_spot(int index, vec3 position, PsLobes lobes)
+{
+  vec4 color = ps_light(index, 0), light_position = ps_light(index, 1);
+  float radius = ps_light(index, 2).w;
+  PsCone cone = ps_cone_of(index);
+  PsReceived received = ps_local_light(lobes, light_position.xyz - position, radius);
+#ifdef PS_HAS_WIDE_LIGHTS
+  vec2 share = ps_cone_means(cone, position - light_position.xyz, radius, lobes.normal);
+#else
+  vec2 share = vec2(ps_cone(cone, position - light_position.xyz, 0.0));
+#endif
+  received.specular *= share.x;
+  received.irradiance *= share.y;
+  return ps_reflected(received, lobes, color, light_position.w);
+}
+
+#endif
 
 #endif

@@ -84,6 +84,16 @@ float ps_soft_weight(PsSoftLight s, vec3 point)
   return s.oriented ? max(dot(s.normal, toward), 1e-6) / (square * square) : 1.0;
 }
 
+// Of light `light`, what comes from its point `point` along this ray over what comes along others.
+float ps_soft_emitted(PsSoftLight s, int light, vec3 point)
+{
+#ifdef PS_UNEVEN_LIGHTS
+  return s.parallel ? 1.0 : ps_emitted(light, (s.at - point) * s.turn);
+#else
+  return 1.0;
+#endif
+}
+
 // The receiver as the view from a point of the light sees it.
 struct PsSoftSight {
   bool shown;
@@ -241,6 +251,7 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
     vec3 from;
     float weight;
     PsSoftSight sight = ps_soft_cell(s, light, middle.xy, half_u, half_v, pixel, from, weight);
+    weight *= ps_soft_emitted(s, light, middle.x * half_u + middle.y * half_v);
     sum += weight * ps_soft_tap(s, sight, middle.zw, ivec2(cell % columns, cell / columns), vec2(0.0));
     total += weight;
   }
@@ -276,17 +287,17 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
       vec2 moved = gone * (apart.xy - (s.parallel ? vec2(0.0) : apart.z * sight.place));
       vec3 tap = ps_soft_tap(s, sight, middle.zw, tile, moved);
       gone = tap.z > 0.0 ? tap.y / tap.z : gone;
-      float weight = least > 2e-6 ? ps_soft_weight(s, point) : least;
+      float weight = (least > 2e-6 ? ps_soft_weight(s, point) : least) * ps_soft_emitted(s, light, point);
       soft += weight * tap.x;
       total += weight;
     }
   }
 #ifdef PS_SHADOW_STRANDS
   float reach = 1.5 * max(length(half_u), length(half_v));
-  lit = mixed ? mix(soft / total, lit, ps_soft_sparse(s, light, q, reach, 1.0 - lit)) : lit;
+  lit = mixed ? mix(total > 0.0 ? soft / total : lit, lit, ps_soft_sparse(s, light, q, reach, 1.0 - lit)) : lit;
   return lit;
 #else
-  return mixed ? soft / total : lit;
+  return mixed && total > 0.0 ? soft / total : lit;
 #endif
 }
 
