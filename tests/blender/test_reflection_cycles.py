@@ -162,3 +162,13 @@ def test_displacement_bends_normals_as_in_cycles(empty_file, tmp_path, space, sc
         bpy.context.collection.objects.link(again)
     cycles, found = drawn(tmp_path)
     assert error(cycles, found) < 0.007  # measured 0.0053
+
+
+@pytest.mark.parametrize(("roughness", "most"), [(0.05, 0.002), (0.2, 0.03)])
+def test_facets_of_metal_have_no_bright_edges(empty_file, tmp_path, roughness, most):
+    """The mean normal of two may mirror a light that neither mirrors. Measured 0.0013 and 0.0216, and in groups of
+    normals within 26 degrees 0.207 and 0.063."""
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=24, ring_count=12)
+    bpy.context.object.data.materials.append(material_of(PRINCIPLED, {**METAL, "Roughness": roughness}, {}))
+    cycles, found = (np.minimum(one[..., :3], 4.0) for one in drawn(tmp_path))
+    assert np.sqrt(((found - cycles) ** 2).mean()) < most
