@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from .....core.material.expression import Expression
 from .....core.material.hair_color import strand_attribute
-from .....core.material.nodes import color_nodes, input_nodes, texture_nodes
+from .....core.material.nodes import color_nodes, input_nodes, projection_nodes, texture_nodes
 from ..images import convert_image
 from .tree import NodeConverter, NodeReader, Outputs, UnsupportedNodeError
 from .world_space import in_space_of, object_attribute
@@ -51,14 +51,23 @@ def _texture_coordinates(node: NodeReader) -> Outputs:
 
 def _image_texture(node: NodeReader) -> Outputs:
     texture = node.node
-    if texture.projection != "FLAT":
-        raise UnsupportedNodeError(f"projects its image as {texture.projection.lower()}")
     image, problem = convert_image(texture.image)
     if problem is not None:
         node.warn(problem)
     interpolation = "Cubic" if texture.interpolation == "Smart" else texture.interpolation
     uv = node["Vector"] if node.linked("Vector") else input_nodes.UV()
-    value = texture_nodes.ImageTexture(uv, image, interpolation, texture.extension, straight=node.used("Alpha"))
+
+    def shown(at: Expression) -> Expression:
+        return texture_nodes.ImageTexture(at, image, interpolation, texture.extension, straight=node.used("Alpha"))
+
+    if texture.projection == "BOX":
+        normal = input_nodes.Coordinates("normal")
+        x, y, z = (shown(projection_nodes.FromSide(uv, normal, axis)) for axis in range(3))
+        value: Expression = projection_nodes.FromSixSides(x, y, z, normal, float(texture.projection_blend))
+    elif texture.projection == "FLAT":
+        value = shown(uv)
+    else:
+        value = shown(projection_nodes.Wrapped(uv, texture.projection == "SPHERE"))
     return {"Color": color_nodes.Color(value), "Alpha": color_nodes.Component(value, 3)}
 
 
