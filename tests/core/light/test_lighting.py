@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.light import bsdf, light_table
+from pointsplat_addon.core.light import bsdf, light_shapes, light_table
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.world import World
 from tests.reference import lighting, reflectance
@@ -110,6 +110,28 @@ def test_spot_is_dark_outside_its_cone_and_full_at_its_axis():
     assert axis == pytest.approx(shade_plane([0, 0, 0], [POINT])[0], rel=1e-12)
     assert 0 < rim < 0.5 * shade_plane([1.9, 0, 0], [POINT])[0]
     assert outside == 0
+
+
+@pytest.mark.parametrize(("blend", "most"), [(1.0, 0.01), (0.3, 0.02), (0.0, 0.026)])
+def test_cones_of_wide_spots_are_their_mean_over_the_disk(blend, most):
+    """The disk faces the receiver; its radius is an eighth of the distance, and the cone is twice as wide. Measured
+    0.0088, 0.0186 and 0.0237."""
+    point = replace(POINT, position=np.array([0.0, 0, 4]), radius=0.5, soft=True)
+    spot = replace(point, kind="SPOT", spot_cos=float(np.cos(0.25)), spot_blend=blend)
+    places = np.stack([np.linspace(0, 2, 41), np.zeros(41), np.zeros(41)], axis=1)
+    turn = (np.arange(20000) + 0.5) * np.pi * (3 - np.sqrt(5))
+    out = 0.5 * np.sqrt((np.arange(20000) + 0.5) / 20000)
+    want = []
+    for ray in places - point.position:
+        toward = ray / np.linalg.norm(ray)
+        side = np.array([0.0, 1, 0])
+        up = np.cross(side, toward)
+        rays = ray - out[:, None] * (np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * up)
+        cosine = -rays[:, 2] / np.linalg.norm(rays, axis=1)
+        t = np.clip((cosine - spot.spot_cos) / light_shapes.blend_range(spot), 0, 1)
+        want.append(np.average(t * t * (3 - 2 * t), weights=-rays[:, 2]))
+    found = shade_plane(places, [spot]) / shade_plane(places, [point])
+    assert np.abs(found - want).max() < most
 
 
 def test_a_normal_that_points_away_from_the_eye_is_lit_where_it_points():

@@ -9,7 +9,6 @@ from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.render.cache.on_disk import OnDisk
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.frame.indirect import kept
-from pointsplat_addon.render.indirect.light import IndirectLight
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import drawing, indirect_cases
 from scripts.scenes.cameras import camera
@@ -26,23 +25,6 @@ def renderer(store: Store | None = None) -> Renderer:
 def picture(of: Renderer, case: Case, seen: Camera) -> np.ndarray:
     made = replace(case, camera=seen)
     return of.render(made.scene, made.request(COMBINED, 1)).pixels["combined"]
-
-
-@pytest.fixture
-def gathered(monkeypatch) -> list[int]:
-    """Receivers of each gather."""
-    counts: list[int] = []
-
-    def counting(gather):
-        def counted(self, position, *args, **named):
-            counts.append(len(position))
-            return gather(self, position, *args, **named)
-
-        return counted
-
-    for name in ("gathered", "bounced"):
-        monkeypatch.setattr(IndirectLight, name, counting(getattr(IndirectLight, name)))
-    return counts
 
 
 @CASES

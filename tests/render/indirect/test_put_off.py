@@ -12,7 +12,6 @@ from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.frame.frame import Frame
 from pointsplat_addon.render.frame.indirect import kept
 from pointsplat_addon.render.indirect import known_sites
-from pointsplat_addon.render.indirect.light import IndirectLight
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import drawing, indirect_cases
@@ -34,23 +33,6 @@ def brought_in(of: Renderer, case: Case) -> tuple[Frame | None, int]:
         if of.store.building:
             time.sleep(0.001)
     return made.frame, moments
-
-
-@pytest.fixture
-def gathered(monkeypatch) -> list[int]:
-    """Receivers of each slice."""
-    counts: list[int] = []
-
-    def counting(gather):
-        def counted(self, position, *args, **named):
-            counts.append(len(position))
-            return gather(self, position, *args, **named)
-
-        return counted
-
-    for name in ("gathered", "bounced"):
-        monkeypatch.setattr(IndirectLight, name, counting(getattr(IndirectLight, name)))
-    return counts
 
 
 @CASES
