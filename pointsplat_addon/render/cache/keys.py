@@ -14,6 +14,8 @@ class Kind(Enum):
 
     # Of any geometry
     VALIDATED = auto()  # data without what cannot be drawn, and what was wrong with it
+    # Of a scene
+    CROWD = auto()  # cells of many instances, with boxes
     # Of a mesh
     TYPICAL_EDGE = auto()
     BOUNDING_BALL = auto()  # of the valid triangles

@@ -41,11 +41,11 @@ from .surfels import gbuffer_textures
 from .targets import Targets
 from .translucent import LitTranslucent, Translucent, lighting_of_sample
 from .uploads.uploads import Uploads
+from .visibility.crowds import without_unseen
 from .visibility.layers import Visibility
 from .visibility.targets import VisibilityTargets
-from .visibility.tiles import cells_of_tile
+from .visibility.tiles import IN_INSTANCE, cells_of_tile
 from .visibility.translucent import TranslucentLayers
-
 
 class Frame:
     """One picture in the making. Every call comes from the device's thread."""
@@ -71,7 +71,8 @@ class Frame:
         self.device = renderer.device
         self.clock = Clock(self.device, cancelled)
         self.whole = scene  # before anything was left out of it
-        # Planning can be cancelled: nothing is on the device yet.
+        # Planning can be cancelled: nothing of this frame is on the device yet.
+        scene, self._hidden_known = without_unseen(renderer, scene, request, self.clock, presented, picture)
         self.frame_plan = make_frame_plan(
             scene, request, renderer.store, self.device.limits, renderer.costs, self.clock, presented, picture
         )
@@ -138,6 +139,7 @@ class Frame:
             self.backdrop = self._own(Backdrop(device, backdrop_grid(frame_plan.view, device.limits.texture_size)))
         count = levels(frame_plan.prepared.largest, frame_plan.view.resolution)
         primitives = frame_plan.splats + frame_plan.triangles + frame_plan.segments
+        primitives += IN_INSTANCE * len(frame_plan.scene.instances)
         most_cells = cells_of_tile(primitives, plan.presented)
         self._lent = self.renderer.pool.borrow(plan, request.passes, frame_plan.view.window[2:], count, most_cells)
         self.targets = self._lent[1]
@@ -173,7 +175,10 @@ class Frame:
                 Panes(device, plan, self.uploads, targets, self.shading, self.targets.combined_target, run, indirect)
             )
         self.visibility = self._own(
-            Visibility(device, plan, passes, self.uploads, targets, self.shading, over, run, indirect, part, panes)
+            Visibility(
+                device, plan, passes, self.uploads, targets, self.shading, over, run, indirect, part, panes,
+                self._hidden_known,
+            )
         )
 
     def _indirect_light(self) -> GroupsInIndirectLight | None:

@@ -125,12 +125,21 @@ class FramePlan:
 
     def _triangles(self, primitives: tuple[str, ...] = ()) -> int:
         """The number of triangles of geometries whose setting is one of `primitives`; of all where none are named."""
-        prepared, instances = self.prepared, self.prepared.all_polygons.tolist()
-        geometries = [self.scene.geometries[int(self.scene.instances.geometry[instance])] for instance in instances]
-        return sum(
-            count_triangles(geometry.mesh, prepared.parts.get(instance))
-            for geometry, instance in zip(geometries, instances, strict=True)
-            if geometry.mesh is not None and (not primitives or geometry.primitive in primitives)
+        prepared, geometry_of = self.prepared, self.scene.instances.geometry
+        counted = np.array([
+            len(geometry.mesh.triangles)
+            if geometry.mesh is not None and (not primitives or geometry.primitive in primitives) else 0
+            for geometry in self.scene.geometries
+        ], np.int64)  # fmt: skip
+        shown = prepared.all_polygons
+        if not prepared.parts:
+            return int(counted[geometry_of[shown]].sum())
+        divided = {instance: prepared.parts[instance] for instance in shown.tolist() if instance in prepared.parts}
+        whole = shown[~np.isin(shown, list(divided))]
+        return int(counted[geometry_of[whole]].sum()) + sum(
+            count_triangles(mesh, parts)
+            for instance, parts in divided.items()
+            if counted[row := int(geometry_of[instance])] and (mesh := self.scene.geometries[row].mesh) is not None
         )
 
     def reducible_work(self, costs: Costs) -> float:

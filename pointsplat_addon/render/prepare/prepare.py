@@ -17,7 +17,7 @@ from ...core.lod.cut import cut_of_all_points
 from ...core.numeric.lattice import lattice_for
 from ...core.numeric.record import record
 from ...core.scene.camera import Camera
-from ...core.scene.scene import Geometry, Scene
+from ...core.scene.scene import Geometry, Instances, Scene
 from ...core.scene.settings import Settings
 from ...core.scene.validation import drawable_transforms
 from ...core.splat.blur import COARSEST_TOLERANCE, NODE_SIZE, defocus_blur
@@ -93,11 +93,7 @@ def prepare(
     out-of-focus nodes, see core/splat/blur.py. `coarse`: there is no time for one sample at the tolerance that was
     asked for.
     """
-    with np.errstate(all="ignore"):
-        view_from_object = camera.view_from_world @ scene.instances.world_from_object
-    usable = drawable_transforms(view_from_object)
-    if scene.instances.seen is not None:
-        usable &= scene.instances.seen
+    view_from_object, usable = _transforms(scene.instances, camera)
     blur = defocus_blur(camera, node) if settings.dof_method == "SPLAT" else None
     view = View(scene, camera, settings, samples, interactive, moving, store, check, costs, blur, coarse)
     focus = None
@@ -141,6 +137,18 @@ def prepare(
         panes=drawn.panes,
         out_of_focus=_out_of_focus(focus, behind),
     )
+
+
+def _transforms(instances: Instances, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the transforms of what the camera sees to its space, (I, 4, 4), zeros of the rest; and which of them can
+    be drawn, (I,) bool."""
+    seen = slice(None) if instances.seen is None else np.flatnonzero(instances.seen)
+    # Memory of zeros that nothing touches costs nothing: of a crowd a view sees little.
+    view_from_object, usable = np.zeros((len(instances), 4, 4)), np.zeros(len(instances), bool)
+    with np.errstate(all="ignore"):
+        view_from_object[seen] = matrices = camera.view_from_world @ instances.world_from_object[seen]
+    usable[seen] = drawable_transforms(matrices)
+    return view_from_object, usable
 
 
 @record

@@ -43,13 +43,14 @@ class PointUploads:
             if draw.whole >= 0:
                 only = slice(draw.whole, draw.whole + 1)
                 draw.view_from_page = with_origin(prepared.view_from_object[only], origin[only])[0]
+        drawn = np.concatenate([layer.cut.instance for layer in (prepared, prepared.spheres, prepared.nodes)])
         if self._plan.options.one_instance:
-            layers = (prepared, prepared.spheres, prepared.nodes)
-            one = np.concatenate([layer.cut.instance for layer in layers])[:1]
+            one = drawn[:1]
             matrix = with_origin(prepared.view_from_object[one], origin[one])[0]
             self._transform["view_from_object"] = matrix.T.reshape(-1)
             return
-        rows = instance_rows(prepared.view_from_object, origin, self._scene.instances.holdout)
+        some = np.flatnonzero(np.bincount(drawn))
+        rows = instance_rows(prepared.view_from_object, origin, self._scene.instances.holdout, some)
         self.instances["ps_instances"] = self._scope.view_texture(rows)
 
     def mark_moved(self) -> None:

@@ -55,13 +55,15 @@ class Visibility:
         indirect: GroupsInIndirectLight | None = None,
         part: tuple[int, int] = (0, 1),
         panes: Panes | None = None,
+        hidden_known: bool = False,
     ) -> None:
         """`translucent`, `panes`: what is blended over the sub-samples. `run` times each pass. `indirect`: light that
-        surfaces receive from each other. `part`: which tiles are drawn, see tiles_of_part."""
+        surfaces receive from each other. `part`: which tiles are drawn, see tiles_of_part. `hidden_known`: what others
+        hide is left out already."""
         self.tiles = tiles_of_part(targets.tiles, part)
         self._device, self._plan, self._passes, self._uploads = device, plan, passes, uploads
         self._targets, self._shading, self._translucent, self._run = targets, shading, translucent, run
-        self._indirect, self._panes = indirect, panes
+        self._indirect, self._panes, self._hidden_known = indirect, panes, hidden_known
         self._polygons: PolygonCover | None = None
         self._strands: StrandCover | None = None
         self._splats: SplatCover | None = None
@@ -116,8 +118,9 @@ class Visibility:
             self._forget_polygons()
             device, buffer, normal = self._device, self._targets.buffer, self._plan.variant.normal
             shown = polygons_in_view(device, self._uploads, view, buffer.cells)
-            occluders = Occluders(device, buffer, normal, view, self._uploads.shared, self._run)
-            draws = draws_of(device, occluders.without_hidden(shown), first)
+            if not self._hidden_known:
+                shown = Occluders(device, buffer, normal, view, self._uploads.shared, self._run).without_hidden(shown)
+            draws = draws_of(device, shown, first)
             self._polygons = PolygonCover(device, draws, buffer, normal)
             first += sum(draw.triangles for draw in draws)
         if self._plan.lines:

@@ -16,7 +16,7 @@ from ...passes.visibility.buffer import VisibilityBuffer
 from ...passes.visibility.farthest import FarthestDepths
 from ...passes.visibility.polygon_ids import PolygonCover
 from .occlusion import Candidates, hidden_of
-from .polygon_draws import PolygonsInView, draws_of
+from .polygon_draws import PolygonsInView, PolygonSource, draws_of, polygons_in_view
 
 
 class Occluders:
@@ -50,9 +50,17 @@ class Occluders:
         try:
             hidden = hidden_of(candidates(shown, size), size, lambda which: self._draw(those(which)))
         finally:
-            if self._depths is not None:
-                self._depths.release()
+            self.release()
         return those(~hidden) if hidden.any() else shown
+
+    def draw_some(self, source: PolygonSource) -> np.ndarray:
+        """Draws more polygons into the buffer, and returns the farthest depth of each block of pixels."""
+        return self._draw(polygons_in_view(self._device, source, self._view, self._buffer.cells))
+
+    def release(self) -> None:
+        if self._depths is not None:
+            self._depths.release()
+        self._depths = None
 
     def _draw(self, more: list[PolygonsInView]) -> np.ndarray:
         """Draws more into the buffer, and returns the farthest depth of each block of pixels."""

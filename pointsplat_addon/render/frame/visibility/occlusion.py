@@ -40,13 +40,17 @@ class Candidates:
         return (self.high - self.low).prod(axis=1)
 
 
-def hidden_of(given: Candidates, size: tuple[int, int], draw: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+def hidden_of(
+    given: Candidates, size: tuple[int, int], draw: Callable[[np.ndarray], np.ndarray], most: float = np.inf
+) -> np.ndarray:
     """Returns which candidates are known to be hidden, (N,) bool.
 
     `size`: (width, height) of the picture in pixels. `draw`: draws some of them, (N,) bool, beside those that it has
-    drawn before, and returns the farthest depth of each block of pixels, (rows, columns).
+    drawn before, and returns the farthest depth of each block of pixels, (rows, columns). `most`: triangles that are
+    drawn.
     """
     total = given.work.sum()
+    most = min(most, MOST_WORK * total)
     drawn, hidden = np.zeros(len(given.work), bool), np.zeros(len(given.work), bool)
     if total < FEWEST_TRIANGLES:
         return hidden
@@ -55,7 +59,7 @@ def hidden_of(given: Candidates, size: tuple[int, int], draw: Callable[[np.ndarr
         depths, shows, side = as_if_full(given, left, size)
         if not drawn.any() and given.work[left & is_behind(given, depths, side)].sum() < LEAST_PROMISE * total:
             break
-        more = worth_drawing(shows, given.work, MOST_WORK * total - given.work[drawn].sum())
+        more = worth_drawing(shows, given.work, most - given.work[drawn].sum())
         if not more.any():
             break
         drawn |= more

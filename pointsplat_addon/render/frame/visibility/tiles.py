@@ -11,6 +11,7 @@ from ...passes.uniforms import SampleView
 # Of a tile, with 16 bytes each and about as much for its groups: 17 sub-samples of 290 x 290 pixels, of 410 x 410 in a
 # picture that is shown while it is drawn, whose viewport is mostly one tile then; and of 1280 x 720.
 FEWEST_CELLS, FEWEST_SHOWN_CELLS, MOST_CELLS = 1 << 21, 1 << 22, 28_000_000
+IN_INSTANCE = 4  # primitives that take as much memory as the transforms of an instance
 
 
 @value_record

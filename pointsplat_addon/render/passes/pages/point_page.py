@@ -178,14 +178,19 @@ def blocks(layer: Layer, first: dict[int, int]) -> tuple[np.ndarray, int]:
     return rows, shift
 
 
-def instance_rows(view_from_object: np.ndarray, origin: np.ndarray, holdout: np.ndarray | None) -> np.ndarray:
+def instance_rows(
+    view_from_object: np.ndarray, origin: np.ndarray, holdout: np.ndarray | None, some: np.ndarray | None = None
+) -> np.ndarray:
     """Returns the texels of instances, (4 I, 4) float32: three rows of each matrix, which takes positions relative to
-    the origin (I, 3) of its cloud; holdout."""
-    rows = np.zeros((len(view_from_object), 4, 4))
-    rows[:, :3] = with_origin(view_from_object, origin)[:, :3]
+    the origin (I, 3) of its cloud; holdout. `some`: (n,) int, those that are drawn; others are zeros. None: all."""
+    some = np.arange(len(view_from_object)) if some is None else some
+    rows = np.zeros((len(view_from_object), 4, 4), np.float32)
+    of_some = np.zeros((len(some), 4, 4))
+    of_some[:, :3] = with_origin(view_from_object[some], origin[some])[:, :3]
     if holdout is not None:
-        rows[:, 3, 0] = holdout
-    return np.nan_to_num(rows, nan=0.0, posinf=0.0, neginf=0.0).reshape(-1, 4).astype(np.float32)
+        of_some[:, 3, 0] = holdout[some]
+    rows[some] = np.nan_to_num(of_some, nan=0.0, posinf=0.0, neginf=0.0)
+    return rows.reshape(-1, 4)
 
 
 def with_origin(view_from_object: np.ndarray, origin: np.ndarray) -> np.ndarray:
