@@ -123,8 +123,8 @@ def _seen_in(crowd: Crowd, cells: np.ndarray, view: SampleView, near: _Near, occ
     """Returns the items of a crowd, (n,) int, that are not known to be hidden in a view."""
     here, wide = _cells_in_view(crowd, view, cells)
     whole, items = here[~wide], crowd.members(here[wide])
-    of_cells, _ = _candidates(crowd.cell_box[whole], np.add.reduceat(crowd.triangles, crowd.first[:-1])[whole], view)
-    of_items, shown = _candidates(crowd.box[items], crowd.triangles[items], view)
+    of_cells, _ = _candidates(*_places(crowd.cell_box[whole], view), crowd.cell_triangles[whole], view)
+    of_items, shown = _items(crowd, items, view)
     items = items[shown]
     given = Candidates(*(
         np.concatenate([getattr(part, name) for part in (of_cells, of_items)])
@@ -142,7 +142,7 @@ def _seen_in(crowd: Crowd, cells: np.ndarray, view: SampleView, near: _Near, occ
     hidden = hidden_of(given, view.size, draw, MOST_TRIANGLES)
     inside = crowd.members(whole[~hidden[: len(whole)]])
     if found:
-        single, shown = _candidates(crowd.box[inside], crowd.triangles[inside], view)
+        single, shown = _items(crowd, inside, view)
         inside = inside[shown][~is_behind(single, found[-1])]
     return np.concatenate([items[~hidden[len(whole) :]], inside])
 
@@ -159,9 +159,17 @@ def _cells_in_view(
     return cells[shown], (size[shown] > WIDE).any(axis=1)
 
 
-def _candidates(box: np.ndarray, work: np.ndarray, view: SampleView) -> tuple[Candidates, np.ndarray]:
-    """Returns those boxes, (N, 2, 3) in the world, that may lie in a picture, and which they are, (n,) int."""
-    rectangle, depth = _places(box, view)
+def _items(crowd: Crowd, items: np.ndarray, view: SampleView) -> tuple[Candidates, np.ndarray]:
+    """Returns those of some items of a crowd that may lie in a picture, and which they are, (n,) int."""
+    row = crowd.row[items]
+    geometry, matrices = crowd.geometry[row], view.camera.view_from_world @ crowd.world_from_object[row]
+    return _candidates(*places_in_picture(crowd.box[geometry], matrices, view), crowd.triangles[geometry], view)
+
+
+def _candidates(
+    rectangle: np.ndarray, depth: np.ndarray, work: np.ndarray, view: SampleView
+) -> tuple[Candidates, np.ndarray]:
+    """Returns what lies in a picture, and which it is, (n,) int. `rectangle`, `depth`: see places_in_picture."""
     shown = np.flatnonzero((rectangle[:, 2:] > rectangle[:, :2]).all(axis=1))
     rectangle, (nearest, farthest) = rectangle[shown], depth[shown].T
     low, high = rectangle[:, :2] * view.size, rectangle[:, 2:] * view.size
@@ -169,6 +177,7 @@ def _candidates(box: np.ndarray, work: np.ndarray, view: SampleView) -> tuple[Ca
 
 
 def _places(box: np.ndarray, view: SampleView) -> tuple[np.ndarray, np.ndarray]:
+    """Returns `places_in_picture` of boxes in the world, (N, 2, 3)."""
     matrix = np.broadcast_to(view.camera.view_from_world, (len(box), 4, 4))
     return places_in_picture(box, matrix, view)
 

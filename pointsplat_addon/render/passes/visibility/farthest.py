@@ -13,7 +13,7 @@ from ...device.protocol import EMPTY, Device, releases_on_failure
 from ..uniforms import CAMERA_FIELDS, SampleView, block
 from .buffer import LATTICE_DEFINE, LATTICE_FIELDS, DepthBuffer, member_defines
 
-BLOCK_SIDE = 4  # pixels
+BLOCK_SIDE = 2  # pixels
 FARTHEST_BLOCK = block("Farthest", CAMERA_FIELDS, LATTICE_FIELDS)
 
 

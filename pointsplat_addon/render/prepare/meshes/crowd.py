@@ -12,7 +12,8 @@ from ....core.numeric.record import record
 from ....core.numeric.segments import ranges
 from ....core.numeric.vectors import each_block
 from ....core.scene.bounds import bounding_box
-from ....core.scene.scene import Scene
+from ....core.scene.mesh import Mesh
+from ....core.scene.scene import Instances, Scene
 from ....core.surface.appearance import passing
 from ...cache.keys import Key, Kind
 from ...cache.store import Store
@@ -24,20 +25,20 @@ IN_CELL = 64  # instances
 
 @record
 class Crowd:
-    """The instances of opaque meshes that many instances show, N in C cells, with boxes, low and high corner, in the
-    world."""
+    """The instances of opaque meshes that many instances show, N in C cells. Boxes are low and high corners."""
 
     row: np.ndarray  # (N,) int64: rows of the scene's instances, cell by cell
     first: np.ndarray  # (C + 1,) int64: where cells begin, and N
-    box: np.ndarray  # (N, 2, 3) float64
-    cell_box: np.ndarray  # (C, 2, 3) float64
-    triangles: np.ndarray  # (N,) int64
-    of: tuple[np.ndarray, ...]  # what it was made of
+    cell_box: np.ndarray  # (C, 2, 3) float64, in the world
+    cell_triangles: np.ndarray  # (C,) int64
+    box: np.ndarray  # (G, 2, 3) float64, of meshes in object space
+    triangles: np.ndarray  # (G,) int64, of meshes
+    geometry: np.ndarray  # (I,) int32, of instances
+    world_from_object: np.ndarray  # (I, 4, 4) float64
 
     @property
     def nbytes(self) -> int:
-        arrays = (self.row, self.first, self.box, self.cell_box, self.triangles, *self.of)
-        return sum(array.nbytes for array in arrays)
+        return sum(array.nbytes for array in self.__dict__.values())
 
     def members(self, cells: np.ndarray) -> np.ndarray:
         """Returns the items, (n,) int64, of cells, (c,) int."""
@@ -58,36 +59,33 @@ def crowd_of(scene: Scene, store: Store) -> Crowd | None:
     if int(uses[list(meshes)].sum()) < FEWEST:
         return None
     # By the arrays themselves, which it keeps: reading all of them for a digest takes as long as all else in a view.
-    of = instances.geometry, instances.world_from_object
     content = tuple(scene.geometries[row].key for row in meshes)
-    key = Key(Kind.CROWD, content, other=(id(of[0]), id(of[1])))
-    return store.lookup(key, lambda: _make(of, {row: (m.position, len(m.triangles)) for row, m in meshes.items()}))
+    key = Key(Kind.CROWD, content, other=(id(instances.geometry), id(instances.world_from_object)))
+    return store.lookup(key, lambda: _make(instances, len(scene.geometries), meshes))
 
 
-def _make(of: tuple[np.ndarray, np.ndarray], meshes: dict[int, tuple[np.ndarray, int]]) -> Crowd:
-    geometry, world_from_object = of
-    middle, half = np.zeros((2, int(geometry.max()) + 1, 3))
-    triangles, known = np.zeros(len(middle), np.int64), np.zeros(len(middle), bool)
-    for row, (position, count) in meshes.items():
-        low, high = bounding_box(position)
-        middle[row], half[row], triangles[row], known[row] = (low + high) / 2, (high - low) / 2, count, True
-    row = np.flatnonzero(known[geometry] & all_finite(world_from_object))
-    box = np.empty((len(row), 2, 3))
+def _make(instances: Instances, geometries: int, meshes: dict[int, Mesh]) -> Crowd:
+    geometry, world_from_object = instances.geometry, instances.world_from_object
+    box, triangles = np.zeros((geometries, 2, 3)), np.full(geometries, -1)
+    for row, mesh in meshes.items():
+        box[row], triangles[row] = bounding_box(mesh.position), len(mesh.triangles)
+    middle, half = box.mean(axis=1), (box[:, 1] - box[:, 0]) / 2
+    row = np.flatnonzero((triangles[geometry] >= 0) & all_finite(world_from_object))
+    centre, extent = np.empty((2, len(row), 3))
 
     def place(some: slice) -> None:
         matrix, shown = world_from_object[row[some]], geometry[row[some]]
         linear = matrix[:, :3, :3]
-        centre = np.einsum("iab,ib->ia", linear, middle[shown]) + matrix[:, :3, 3]
-        extent = np.einsum("iab,ib->ia", np.abs(linear), half[shown])
-        box[some, 0], box[some, 1] = centre - extent, centre + extent
+        centre[some] = (linear @ middle[shown][..., None])[..., 0] + matrix[:, :3, 3]
+        extent[some] = (np.abs(linear) @ half[shown][..., None])[..., 0]
 
     each_block(len(row), place)
-    code, _ = morton_codes(box.mean(axis=1).astype(np.float32))
-    order = sorted_by_code(code)[0]
-    row, box = row[order], box[order]
+    order = sorted_by_code(morton_codes(centre.astype(np.float32))[0])[0]
+    row, centre, extent = row[order], centre[order], extent[order]
     first = np.append(np.arange(0, len(row), IN_CELL), len(row))
-    low, high = np.minimum.reduceat(box[:, 0], first[:-1]), np.maximum.reduceat(box[:, 1], first[:-1])
-    return Crowd(row, first, box, np.stack([low, high], axis=1), triangles[geometry[row]], of)
+    low, high = np.minimum.reduceat(centre - extent, first[:-1]), np.maximum.reduceat(centre + extent, first[:-1])
+    of_cells = np.add.reduceat(triangles[geometry[row]], first[:-1])
+    return Crowd(row, first, np.stack([low, high], axis=1), of_cells, box, triangles, geometry, world_from_object)
 
 
 def with_seen(scene: Scene, crowd: Crowd, items: np.ndarray) -> Scene:
