@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from .vectors import dot
+from .vectors import blocks, dot
 
 ALIKE_SCALES = 1e-5  # relative difference of the squares of scales that makes no visible ellipsoid of a ball
 HALF_DIGITS = 1.5e-8  # the root of what float64 resolves
@@ -19,7 +19,14 @@ def largest_singular_value(matrix: np.ndarray) -> np.ndarray:
     coincide, their angle is known to half the digits only; that error, times the roots' distance from their mean, is
     added as a margin. Uniform scales need none.
     """
-    a = np.ascontiguousarray(matrix.transpose(1, 2, 0))
+    found = np.empty(len(matrix))
+    for some in blocks(len(matrix)):
+        found[some] = _largest_singular_value(np.ascontiguousarray(matrix[some].transpose(1, 2, 0)))
+    return found
+
+
+def _largest_singular_value(a: np.ndarray) -> np.ndarray:
+    """Largest singular values (n,) of matrices (3, 3, n), see above."""
     size = np.maximum(np.maximum.reduce(np.abs(a).reshape(9, -1)), np.finfo(float).tiny)
     x, y, z = (a / size).transpose(1, 0, 2)
     xx, yy, zz, xy, xz, yz = dot(x, x), dot(y, y), dot(z, z), dot(x, y), dot(x, z), dot(y, z)
@@ -40,11 +47,14 @@ def all_finite(matrix: np.ndarray) -> np.ndarray:
 
 def are_similarities(matrix: np.ndarray) -> bool:
     """Tells whether the linear parts of all matrices (I, 4, 4) keep angles, so that balls stay balls."""
-    linear = matrix[:, :3, :3]
     with np.errstate(all="ignore"):
-        gram = np.einsum("iba,ibc->iac", linear, linear)
-        size = np.trace(gram, axis1=1, axis2=2)[:, None, None] / 3
-        return bool((np.abs(gram - size * np.eye(3)) <= ALIKE_SCALES * size).all())
+        for some in blocks(len(matrix)):
+            linear = matrix[some, :3, :3]
+            gram = linear.swapaxes(1, 2) @ linear
+            size = np.trace(gram, axis1=1, axis2=2)[:, None, None] / 3
+            if not (np.abs(gram - size * np.eye(3)) <= ALIKE_SCALES * size).all():
+                return False
+    return True
 
 
 def outer_product(a: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 from ...core.lod.cut import Cut
 from ...core.lod.instances import visible_instances
 from ...core.numeric.linear import all_finite, largest_singular_value
+from ...core.numeric.vectors import blocks
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
 from ..cache.keys import Key, Kind
@@ -85,7 +86,11 @@ def ball_of_all_drawn(scene: Scene, prepared: Prepared, store: Store) -> tuple[n
 
 def _any_visible(balls: Iterator[Ball], camera: Camera) -> bool:
     """Tells whether any instance of any ball may intersect the picture."""
-    return any(bool(visible_instances(views, middle, reach, camera, MARGIN).any()) for views, middle, reach in balls)
+    return any(
+        bool(visible_instances(views[some], middle, reach, camera, MARGIN).any())
+        for views, middle, reach in balls
+        for some in blocks(len(views))
+    )
 
 
 def _is_clear(points: PointSet, store: Store) -> bool:

@@ -58,9 +58,10 @@ def without_unseen(
     if crowd is None:
         return scene, False
     cells, wide = _cells_in_view(crowd, view_of(_with_margin(camera, BESIDE)))
-    near = crowd.members(cells[wide])
-    in_view = with_seen(scene, crowd, crowd.members(cells))
-    if request.settings.technique not in ("AUTO", "VISIBILITY") or request.moment[1] > 1 or len(near) == 0:
+    near, every = crowd.members(cells[wide]), crowd.members(cells)
+    in_view = with_seen(scene, crowd, every)
+    fits = request.settings.technique in ("AUTO", "VISIBILITY") and request.moment[1] == 1
+    if not fits or len(near) == 0:
         return in_view, False
     plain = replace(request.settings, use_shadows=False, bounces=0)
     asked = replace(request, passes=frozenset({"combined"}), settings=plain)
