@@ -19,6 +19,8 @@ class Kind(Enum):
     # Of a mesh
     TYPICAL_EDGE = auto()
     BOUNDING_BALL = auto()  # of the valid triangles
+    SURVEY = auto()  # some vertices, and the area
+    COARSE_MESH = auto()  # with one vertex in each cell of a grid
     PARTS = auto()  # runs of triangles with bounds
     MEASURES = auto()  # of triangles, for sampling
     IS_FOLIAGE = auto()

@@ -127,9 +127,9 @@ class FramePlan:
         """The number of triangles of geometries whose setting is one of `primitives`; of all where none are named."""
         prepared, geometry_of = self.prepared, self.scene.instances.geometry
         counted = np.array([
-            len(geometry.mesh.triangles)
+            len(prepared.coarse.get(row, geometry.mesh).triangles)
             if geometry.mesh is not None and (not primitives or geometry.primitive in primitives) else 0
-            for geometry in self.scene.geometries
+            for row, geometry in enumerate(self.scene.geometries)
         ], np.int64)  # fmt: skip
         shown = prepared.all_polygons
         if not prepared.parts:

@@ -17,6 +17,7 @@ from ...core.lod.cut import cut_of_all_points
 from ...core.numeric.lattice import lattice_for
 from ...core.numeric.record import record
 from ...core.scene.camera import Camera
+from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Instances, Scene
 from ...core.scene.settings import Settings
 from ...core.scene.validation import drawable_transforms
@@ -29,6 +30,7 @@ from ..cache.store import Store
 from .captured import CapturedNodes, captured_instances, captured_nodes
 from .hierarchies import ball_tree_if_it_pays, with_hierarchy_for_defocus, with_hierarchy_if_it_pays
 from .layers import cut_layer, with_ball_nodes, with_page_nodes
+from .meshes.coarse import coarse_mesh
 from .meshes.far import far_nodes
 from .meshes.hybrid import InstanceChoice, choose_parts, primitives_by_part
 from .meshes.panes import pane_rows
@@ -62,6 +64,7 @@ class Prepared(Layer):
     panes: np.ndarray = field(
         default_factory=lambda: np.empty(0, np.int64)
     )  # (P,): instances drawn as layers of triangles
+    coarse: dict[int, Mesh] = field(default_factory=dict)  # by row of geometries, drawn in place of its mesh
     # If `translucent` also holds splats out of focus: by key of its sets, the covered fraction of each splat's ellipse.
     shares: dict[int, np.ndarray | float] = field(default_factory=dict)
 
@@ -135,6 +138,7 @@ def prepare(
         captured=captured,
         captured_nodes=captured_nodes(view, captured, view_from_object),
         panes=drawn.panes,
+        coarse=drawn.coarse,
         out_of_focus=_out_of_focus(focus, behind),
     )
 
@@ -172,6 +176,7 @@ class _DrawnPrimitives:
     parts: dict[int, np.ndarray] = field(default_factory=dict)
     # By instance, first and count of the points that are drawn; absent: all.
     ranges: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    coarse: dict[int, Mesh] = field(default_factory=dict)  # see Prepared.coarse
 
 
 def _drawn_primitives(
@@ -195,6 +200,8 @@ def _drawn_primitives(
         view.check()
         found = _primitives(view, geometry, view_from_object[where], divided.get(row))
         polygons.append(where[found.polygons])
+        if found.coarse is not None:
+            drawn.coarse[row] = found.coarse
         drawn.parts.update((int(where[i]), parts) for i, parts in found.parts.items())
         drawn.ranges.update((int(where[i]), ranges) for i, ranges in found.ranges.items())
         kind = drawn.translucent if is_translucent(geometry, scene.materials) else drawn.opaque
@@ -252,7 +259,8 @@ def _primitives(
     if shown is not None:
         return primitives_by_part(view, measured, shown, view_from_object)
     if is_chosen_by_buffer(view, geometry):
-        return Primitives(*far_nodes(view, measured, view_from_object))
+        points, rest = far_nodes(view, measured, view_from_object)
+        return Primitives(points, rest, coarse=coarse_mesh(view, measured, view_from_object[rest]))
     return points_or_polygons(view, measured, view_from_object)
 
 

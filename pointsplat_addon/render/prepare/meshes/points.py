@@ -125,6 +125,7 @@ class Primitives:
     parts: dict[int, np.ndarray] = field(default_factory=dict)
     # By row, first index and count (R,) of the runs of points that are drawn; absent: all points.
     ranges: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    coarse: Mesh | None = None  # drawn as polygons in place of the mesh
 
 
 def points_or_polygons(view: View, measured: MeasuredMesh, view_from_object: np.ndarray) -> Primitives:
