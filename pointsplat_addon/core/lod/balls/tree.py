@@ -68,9 +68,11 @@ def build_ball_tree(cloud: PointCloud) -> BallTree:
     step[0] = np.iinfo(np.uint64).max
     np.bitwise_xor(code[1:], code[:-1], out=step[1:])
     del code
-    depth = 0
-    while depth < DEPTH and BALLS * np.count_nonzero(step >= _threshold(depth + 1)) <= count:
-        depth += 1
+    depth, too_deep = 0, DEPTH + 1
+    while too_deep - depth > 1:
+        middle = (depth + too_deep) // 2
+        few = BALLS * np.count_nonzero(step >= _threshold(middle)) <= count
+        depth, too_deep = (middle, too_deep) if few else (depth, middle)
     at = np.flatnonzero(step >= _threshold(depth))
     step = step[at]
     first, fastest = [_ends(at, count)], saturation(cloud.position)
@@ -136,7 +138,7 @@ def _merge_balls(cloud: PointCloud, first: np.ndarray) -> np.ndarray:
     def merge(which: slice) -> None:
         for a, b in parts[which]:
             balls = slice(first[a], first[b])
-            rows = np.zeros((len(out), balls.stop - balls.start))
+            rows = np.empty((len(out), balls.stop - balls.start))
             rows[0] = cloud.radii[balls, 0]  # type: ignore[index]
             np.maximum(rows[0], 1e-30, out=rows[0])
             rows[0] *= rows[0]
@@ -146,35 +148,38 @@ def _merge_balls(cloud: PointCloud, first: np.ndarray) -> np.ndarray:
             for array in averaged:
                 rows[at : at + array.shape[1]] = array[balls].T
                 at += array.shape[1]
-            out[:, a:b] = merged_rows(rows, first[a : b + 1] - first[a])
+            out[:, a:b] = merged_rows(rows, first[a : b + 1] - first[a], points=True)
 
     each_block(len(parts), merge, 1)
     return out
 
 
-def merged_rows(rows: np.ndarray, ends: np.ndarray) -> np.ndarray:
+def merged_rows(rows: np.ndarray, ends: np.ndarray, points: bool = False) -> np.ndarray:
     """Merges the columns of `rows` (11 + A, n) between the `ends` (m + 1,) into one each, (11 + A, m) float64.
 
     Rows: weight (squared radius); mean position (3); covariance (6) about it; weighted means of the squared radius and
-    of A attributes.
+    of A attributes. `points`: covariances are zeros, and not looked at.
     """
     begin, count = ends[:-1], np.diff(ends)
     weight = np.add.reduceat(rows[0], begin)
     share = rows[0] / np.repeat(weight, count)
     out = np.empty((len(rows), len(begin)))
     out[0] = weight
-    away = []
+    away, product = [], np.empty_like(share)
     for axis in (1, 2, 3):
-        out[axis] = np.add.reduceat(share * rows[axis], begin)
+        np.multiply(share, rows[axis], out=product)
+        out[axis] = np.add.reduceat(product, begin)
         away.append(rows[axis] - np.repeat(out[axis], count))
     pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
     for at, (i, j) in enumerate(pairs, 4):
-        product = away[i] * away[j]
-        product += rows[at]
+        np.multiply(away[i], away[j], out=product)
+        if not points:
+            product += rows[at]
         product *= share
         out[at] = np.add.reduceat(product, begin)
     for at in range(10, len(rows)):
-        out[at] = np.add.reduceat(share * rows[at], begin)
+        np.multiply(share, rows[at], out=product)
+        out[at] = np.add.reduceat(product, begin)
     return out
 
 

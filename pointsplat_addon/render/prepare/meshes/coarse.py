@@ -23,7 +23,7 @@ SIZES = 4  # of cells in an octave
 FEWEST_TRIANGLES = 1 << 20  # of a mesh: fewer are drawn in no time
 LEAST_SAVED = 2.0  # times the triangles of the coarser mesh, that the mesh has
 TRIANGLES_PER_CELL = 3.0  # of the surface: 1.2 to 1.4 vertices in the area of a side of a cell
-PLACES = 1 << 15  # vertices, and triangles, that are looked at: of them the nearest one in the picture
+PLACES = 1 << 13  # vertices, and triangles, that are looked at: of them the nearest one in the picture
 BESIDE = 0.1  # of the picture around it, in which vertices count
 LEAST_AREA, MOST_AREA = 0.98, 1.05  # of the mesh: what is thinner than a cell is lost
 
