@@ -32,7 +32,7 @@ from ..uploads.scope import UploadScope
 from .boxes_in_picture import places_in_picture
 from .occluders import Occluders
 from .occlusion import Candidates, hidden_of, is_behind
-from .tiles import IN_INSTANCE, cells_of_tile, picture_tiles
+from .tiles import cells_of_tile, picture_tiles
 
 WIDE = 32.0  # pixels: cells that are wider are looked at instance by instance from the start
 MOST_TRIANGLES = 1 << 22  # that are drawn to find what they hide
@@ -43,7 +43,7 @@ BESIDE = MOST_MARGIN + 16  # pixels around the picture that count as seen: pictu
 def without_unseen(
     resources: FrameResources, scene: Scene, request: Request, clock: Clock, presented: bool, picture: bool
 ) -> tuple[Scene, bool]:
-    """Returns a scene without instances that a view cannot see, and whether what others hide was looked for.
+    """Returns a scene without instances that a view cannot see, and whether all that others may hide was looked at.
 
     `presented`, `picture`: see make_frame_plan.
     """
@@ -71,8 +71,12 @@ def without_unseen(
     drawn = plan.plan.polygons and plan.plan.sub_samples > 0 and plan.technique.name == "VISIBILITY"
     if not drawn or plan.request.samples > MOST_LATTICES or plan.prepared.out_of_focus is not None:
         return in_view, False
-    seen = _not_hidden(resources, crowd, cells, plan, clock.run)
-    return with_seen(scene, crowd, np.flatnonzero(seen)), True
+    others = np.ones(len(plan.scene.instances), bool)
+    others[crowd.row] = False
+    others = plan.prepared.polygons[others[plan.prepared.polygons]]
+    seen = _not_hidden(resources, crowd, cells, plan, others, clock.run)
+    # All that is drawn was looked at, where there is nothing else.
+    return with_seen(scene, crowd, np.flatnonzero(seen)), len(others) == 0
 
 
 @record
@@ -82,6 +86,7 @@ class _Near:
     scene: Scene
     prepared: Prepared
     polygons: PolygonUploads
+    others: np.ndarray  # (n,) int64: instances that are not of the crowd
 
 
 def _not_hidden(
@@ -89,13 +94,14 @@ def _not_hidden(
     crowd: Crowd,
     cells: np.ndarray,
     plan: FramePlan,
+    others: np.ndarray,
     run: Callable[[str, Callable[[], None]], None],
 ) -> np.ndarray:
     """Returns which of a crowd's instances are not known to be hidden in a picture, (N,) bool. cells: (c,) int, of
-    those that may be seen."""
+    those that may be seen. others: (n,) int, polygons that are not of the crowd, which hide it too."""
     device, of_plan, samples = resources.device, plan.plan, plan.request.samples
     lattice, reach = lattice_of(of_plan.sub_samples), filter_reach(of_plan.filter_size)
-    most = cells_of_tile(len(plan.scene.instances) * IN_INSTANCE, of_plan.presented)
+    most = cells_of_tile(plan.splats + plan.triangles, of_plan.presented)
     tiles = picture_tiles(plan.view.window[2:], lattice, device.limits.texture_size, most, reach)
     offsets = lattice_offsets(samples, lattice) if samples > 1 else np.zeros((1, 2))
     seen = np.zeros(len(crowd.row), bool)
@@ -103,7 +109,7 @@ def _not_hidden(
     buffer = None
     try:
         uploads = PolygonUploads(scope, resources.store, plan.scene, plan.prepared, of_plan, plan.view)
-        near = _Near(plan.scene, plan.prepared, uploads)
+        near = _Near(plan.scene, plan.prepared, uploads, others)
         buffer = VisibilityBuffer(device, lattice, tiles[0].size)
         for number, (x, y) in enumerate(offsets):
             for tile in tiles:
@@ -136,6 +142,7 @@ def _seen_in(crowd: Crowd, cells: np.ndarray, view: SampleView, near: _Near, occ
     def draw(which: np.ndarray) -> np.ndarray:
         drawn = np.zeros(len(near.scene.instances), bool)
         drawn[crowd.row[items[which[len(whole) :]]]] = True
+        drawn[near.others] = not found
         polygons = near.prepared.polygons[drawn[near.prepared.polygons]]
         found.append(occluders.draw_some(replace(near, prepared=replace(near.prepared, polygons=polygons))))
         return found[-1]
