@@ -34,7 +34,7 @@ from .occluders import Occluders
 from .occlusion import Candidates, hidden_of, is_behind
 from .tiles import cells_of_tile, picture_tiles
 
-WIDE = 32.0  # pixels: cells that are wider are looked at instance by instance from the start
+WIDE = 128.0  # pixels: cells that are wider are looked at instance by instance from the start
 MOST_TRIANGLES = 1 << 22  # that are drawn to find what they hide
 MOST_LATTICES = 4  # of a picture: finding what all of them hide takes longer than it saves
 BESIDE = MOST_MARGIN + 16  # pixels around the picture that count as seen: pictures may be drawn with a margin
