@@ -47,6 +47,7 @@ from .visibility.targets import VisibilityTargets
 from .visibility.tiles import IN_INSTANCE, cells_of_tile
 from .visibility.translucent import TranslucentLayers
 
+
 class Frame:
     """One picture in the making. Every call comes from the device's thread."""
 
@@ -176,7 +177,17 @@ class Frame:
             )
         self.visibility = self._own(
             Visibility(
-                device, plan, passes, self.uploads, targets, self.shading, over, run, indirect, part, panes,
+                device,
+                plan,
+                passes,
+                self.uploads,
+                targets,
+                self.shading,
+                over,
+                run,
+                indirect,
+                part,
+                panes,
                 self._hidden_known,
             )
         )

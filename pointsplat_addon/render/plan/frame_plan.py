@@ -36,7 +36,7 @@ from ..prepare.mattes import casting_on_mattes, with_mattes
 from ..prepare.meshes.parts import count_triangles
 from ..prepare.negligible import without_negligible
 from ..prepare.painter import with_defocus_among_translucent, with_opaque_among_translucent
-from ..prepare.prepare import Prepared, prepare
+from ..prepare.prepare import Prepared, prepare, with_coarse_meshes
 from ..prepare.separation import separate_translucent
 from ..prepare.streamed import Streamed, with_pages
 from ..shadow.nested import with_nested
@@ -127,9 +127,9 @@ class FramePlan:
         """The number of triangles of geometries whose setting is one of `primitives`; of all where none are named."""
         prepared, geometry_of = self.prepared, self.scene.instances.geometry
         counted = np.array([
-            len(prepared.coarse.get(row, geometry.mesh).triangles)
+            len(geometry.mesh.triangles)
             if geometry.mesh is not None and (not primitives or geometry.primitive in primitives) else 0
-            for row, geometry in enumerate(self.scene.geometries)
+            for geometry in self.scene.geometries
         ], np.int64)  # fmt: skip
         shown = prepared.all_polygons
         if not prepared.parts:
@@ -198,6 +198,7 @@ def make_frame_plan(
         TechniqueInput(request.settings, scene, request.samples, request.interactive, through_lens, limits.float_blend)
     )
     prepared = _prepared(scene, request, decided, through_lens, store, costs, clock)
+    scene = with_coarse_meshes(scene, prepared)
     technique = confirm_technique(decided, prepared)
     auxiliary = None
     if prepared.out_of_focus is not None:

@@ -7,7 +7,7 @@ views and frames. Only the cut depends on the view.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -141,6 +141,17 @@ def prepare(
         coarse=drawn.coarse,
         out_of_focus=_out_of_focus(focus, behind),
     )
+
+
+def with_coarse_meshes(scene: Scene, prepared: Prepared) -> Scene:
+    """Returns a scene with the coarser meshes that a view draws: shadows are theirs, too, for a surface would lie in
+    those of another."""
+    if not prepared.coarse:
+        return scene
+    geometries = list(scene.geometries)
+    for row, mesh in prepared.coarse.items():
+        geometries[row] = replace(geometries[row], key=f"{geometries[row].key} as {mesh.key}", mesh=mesh)
+    return replace(scene, geometries=tuple(geometries))
 
 
 def _transforms(instances: Instances, camera: Camera) -> tuple[np.ndarray, np.ndarray]:

@@ -112,15 +112,14 @@ class PolygonUploads:
     def _mesh(self, row: int) -> PolygonMesh:
         scene, plan = self._scene, self._plan
         geometry = scene.geometries[row]
-        mesh = self._prepared.coarse.get(row, geometry.mesh)
+        mesh = geometry.mesh
         assert mesh is not None
-        content = (geometry.key, mesh.key) if row in self._prepared.coarse else geometry.key
         parts, whole = None, plan.sub_samples > 0  # the visibility buffer draws whole meshes
         if geometry.primitive == "AUTO" and not whole:
             parts = self._store.lookup(Key(Kind.PARTS, geometry.key), lambda: make_parts(mesh))
         translucent = passing(mesh, scene.materials) is not None
         more = (plan.variant, constants_key(scene), scene.materials.cull.tobytes(), parts is not None, whole)
-        key = Key(Kind.POLYGON_MESH, content, digest(mesh, scene.materials), other=more)
+        key = Key(Kind.POLYGON_MESH, geometry.key, digest(mesh, scene.materials), other=more)
 
         def make(mesh: Mesh = mesh, parts: Parts | None = parts) -> PolygonMesh:
             order = parts.order if parts is not None else coherent_order(mesh) if whole else None

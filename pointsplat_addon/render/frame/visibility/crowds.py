@@ -63,7 +63,7 @@ def without_unseen(
     fits = request.settings.technique in ("AUTO", "VISIBILITY") and request.moment[1] == 1
     if not fits or len(near) == 0:
         return in_view, False
-    plain = replace(request.settings, use_shadows=False, bounces=0)
+    plain = replace(request.settings, use_shadows=False, use_indirect=False)
     asked = replace(request, passes=frozenset({"combined"}), settings=plain)
     plan = make_frame_plan(
         with_seen(scene, crowd, near), asked, store, limits, resources.costs, clock, presented, picture
@@ -155,9 +155,7 @@ def _seen_in(crowd: Crowd, cells: np.ndarray, view: SampleView, near: _Near, occ
     return np.concatenate([items[~hidden[len(whole) :]], inside])
 
 
-def _cells_in_view(
-    crowd: Crowd, view: SampleView, cells: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+def _cells_in_view(crowd: Crowd, view: SampleView, cells: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Returns the cells of a crowd, (c,) int, that may lie in a picture, and which of them are wide there, (c,) bool.
     cells: those that are asked about; None: all."""
     cells = np.arange(len(crowd.cell_box)) if cells is None else cells

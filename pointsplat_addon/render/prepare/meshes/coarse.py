@@ -1,7 +1,7 @@
 """Coarser meshes in place of those of which many triangles fall into a pixel wherever they are seen.
 
 Corners move by a fraction of the distance between sub-samples: what a view draws of a mesh grows with its pixels, not
-with its triangles. Shadows are those of the mesh itself.
+with its triangles.
 """
 
 from __future__ import annotations
@@ -19,12 +19,11 @@ from ..view import View
 from .points import MeasuredMesh
 
 EDGE = 1 / 3  # pixels of a cell, at most, with 17 sub-samples: of which one stands for 1/4 by 1/4
-SIZES = 4  # of cells in an octave
+SIZES = 2  # of cells in an octave
 FEWEST_TRIANGLES = 1 << 20  # of a mesh: fewer are drawn in no time
 LEAST_SAVED = 2.0  # times the triangles of the coarser mesh, that the mesh has
 TRIANGLES_PER_CELL = 3.0  # of the surface: 1.2 to 1.4 vertices in the area of a side of a cell
-PLACES = 1 << 13  # vertices, and triangles, that are looked at: of them the nearest one in the picture
-BESIDE = 0.1  # of the picture around it, in which vertices count
+PLACES = 1 << 13  # vertices, and triangles, that are looked at: of them the nearest one
 LEAST_AREA, MOST_AREA = 0.98, 1.05  # of the mesh: what is thinner than a cell is lost
 
 
@@ -34,9 +33,13 @@ def coarse_mesh(view: View, measured: MeasuredMesh, view_from_object: np.ndarray
     mesh, table, store = measured.mesh, view.scene.materials, view.store
     if len(mesh.triangles) < FEWEST_TRIANGLES or len(view_from_object) == 0 or view.blur is not None:
         return None
-    if mesh.corner_normal is not None or mesh.objects or passing(mesh, table) is not None or graphs_of(mesh, table):
+    if view.settings.use_indirect:  # indirect light would be found anew for each of them
         return None
-    places, surface = store.lookup(Key(Kind.SURVEY, measured.geometry.key), lambda: _survey(mesh))
+    if mesh.objects or passing(mesh, table) is not None or graphs_of(mesh, table):
+        return None
+    flat, places, surface = store.lookup(Key(Kind.SURVEY, measured.geometry.key), lambda: _survey(mesh))
+    if not flat and mesh.corner_normal is not None:
+        return None
     few = min(lattice_for(view.samples, view.interactive).spacing / MANY.spacing, 2.0)
     allowed = few * EDGE * view.settings.tolerance * _pixel(view, places, view_from_object)
     diameter = 2 * measured.ball[1]
@@ -57,25 +60,25 @@ def coarse_mesh(view: View, measured: MeasuredMesh, view_from_object: np.ndarray
     return store.lookup(key, make)
 
 
-def _survey(mesh: Mesh) -> tuple[np.ndarray, float]:
-    """Returns some vertices, (n, 3) float64, and the area by some of the triangles."""
+def _survey(mesh: Mesh) -> tuple[bool, np.ndarray, float]:
+    """Returns whether triangles have one normal each, some vertices, (n, 3) float64, and the area; by some of the
+    triangles."""
+    step = max(len(mesh.triangles) // PLACES, 1)
     places = mesh.position[:: max(len(mesh.position) // PLACES, 1)].astype(np.float64)
-    return places, area(mesh, max(len(mesh.triangles) // PLACES, 1))
+    normals = None if mesh.corner_normal is None else mesh.corner_normal[::step]
+    flat = mesh.vertex_normal is None and (normals is None or bool((normals == normals[:, :1]).all()))
+    return flat, places, area(mesh, step)
 
 
 def _pixel(view: View, places: np.ndarray, view_from_object: np.ndarray) -> float:
-    """Returns what a pixel spans where some instance, (I, 4, 4), is nearest in the picture, in object units; infinity
-    where none is in it. places: (n, 3), of the mesh."""
-    camera, (_, _, width, height) = view.camera, view.camera.window
+    """Returns what a pixel spans where some instance, (I, 4, 4), is nearest to the eye, in object units. places:
+    (n, 3), of the mesh. What is beside the picture counts, too: its shadow may be in it."""
+    camera = view.camera
     places = places[:: min(len(view_from_object), len(places))]
     linear = view_from_object[:, :3, :3]
     with np.errstate(all="ignore"):
         p = places @ linear.swapaxes(1, 2) + view_from_object[:, None, :3, 3]
-        depth = -p[..., 2] if camera.perspective else np.ones(p.shape[:2])
-        fx, fy, cx, cy = camera.pixel_from_view()
-        x, y = p[..., 0] / depth * fx + cx, p[..., 1] / depth * fy + cy
-        inside = (np.abs(x / width - 0.5) < 0.5 + BESIDE) & (np.abs(y / height - 0.5) < 0.5 + BESIDE)
-        inside &= ~(depth < camera.near)
+        away = np.sqrt((p * p).sum(axis=2)) if camera.perspective else np.ones(p.shape[:2])
         scale = np.sqrt((linear * linear).sum(axis=(1, 2)) / 3)  # of instances that are stretched, the mean
-        nearest = np.where(inside, depth / scale[:, None], np.inf).min()
-    return float(nearest) / max(abs(fx), abs(fy))
+        nearest = float((away / scale[:, None]).min())
+    return nearest / max(abs(focal) for focal in camera.pixel_from_view()[:2])
