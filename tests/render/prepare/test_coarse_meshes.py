@@ -72,7 +72,7 @@ def test_what_is_near_and_what_would_vanish_stay_as_they_are(coarser):
     assert drawn(near)[1] == len(mesh.triangles)
     # Needles of a tenth of a cell have no area once they are merged.
     at = np.random.default_rng(0).random((40_000, 1, 3)) * 2 - 1
-    needles = (at + [[[0, 0, 0], [0.003, 0, 0], [0, 0, 0.2]]]).reshape(-1, 3).astype(np.float32)
+    needles = (at + np.array([[0, 0, 0], [0.003, 0, 0], [0, 0, 0.2]])).reshape(-1, 3).astype(np.float32)
     hair = meshes.flat_mesh("needles", needles, np.arange(len(needles)).reshape(-1, 3))
     assert drawn(build.scene((build.mesh(hair), np.eye(4))))[1] == 40_000
 

@@ -1,6 +1,7 @@
 """What a view cannot see of many instances is left out before it is prepared, and pictures stay the same to the bit."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,9 +27,9 @@ VIEWS = {
 
 
 @pytest.fixture
-def seen(monkeypatch) -> list[np.ndarray]:
+def seen(monkeypatch) -> list[Any]:
     """Which instances each picture was prepared with, where each four of them are a cell."""
-    found: list[np.ndarray] = []
+    found: list[Any] = []
 
     def recorded(*given):
         scene, known = crowds.without_unseen(*given)

@@ -7,13 +7,12 @@ all over its box goes too (occlusion.py). All sub-samples that will be drawn cou
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ....core.numeric.lattice import lattice_of
 from ....core.numeric.pixel_filter import filter_reach
-from ....core.numeric.record import record
 from ....core.scene.camera import Camera
 from ....core.scene.scene import Scene
 from ....core.scene.validation import validate
@@ -79,7 +78,7 @@ def without_unseen(
     return with_seen(scene, crowd, np.flatnonzero(seen)), len(others) == 0
 
 
-@record
+@dataclass(eq=False)
 class _Near:
     """What may hide others, on the device."""
 

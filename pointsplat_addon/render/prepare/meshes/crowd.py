@@ -69,7 +69,7 @@ def _make(instances: Instances, geometries: int, meshes: dict[int, Mesh]) -> Cro
     box, triangles = np.zeros((geometries, 2, 3)), np.full(geometries, -1)
     for row, mesh in meshes.items():
         box[row], triangles[row] = bounding_box(mesh.position), len(mesh.triangles)
-    middle, half = box.mean(axis=1), (box[:, 1] - box[:, 0]) / 2
+    middle, half = (box[:, 1] + box[:, 0]) / 2, (box[:, 1] - box[:, 0]) / 2
     row = np.flatnonzero((triangles[geometry] >= 0) & all_finite(world_from_object))
     centre, extent = np.empty((2, len(row), 3))
 
