@@ -198,13 +198,13 @@ def cases(quick: bool, data: Path | None) -> dict[str, Sizes]:
     """Scenes by what grows, and by how many of it there are; of triangles only where there is a folder of data."""
     found: dict[str, Sizes] = {
         "points": {side * side * 1_000_000: lambda side=side: points(side) for side in (1, 3, 10)},
-        "street": {side * side: lambda side=side: city(side, True) for side in (32, 100, 200, 316)},
-        "above": {side * side: lambda side=side: city(side, False) for side in (32, 100, 200)},
+        "street": {side * side: lambda side=side: city(side, True) for side in (32, 100, 316, 1000)},
+        "above": {side * side: lambda side=side: city(side, False) for side in (32, 100, 316, 1000)},
         "objects": {side * side: lambda side=side: objects(side) for side in (32, 100)},
     }
     if data is not None:
         meshes = data / "mesh"
-        found["triangles"] = {202_520 * 4**n: lambda n=n: dragon(meshes, n) for n in (0, 1, 2)}
+        found["triangles"] = {202_520 * 4**n: lambda n=n: dragon(meshes, n) for n in (0, 1, 2, 3)}
     return {name: dict(list(sizes.items())[: 2 if quick else None]) for name, sizes in found.items()}
 
 

@@ -67,8 +67,8 @@ def crowd_of(scene: Scene, store: Store) -> Crowd | None:
 def _make(instances: Instances, geometries: int, meshes: dict[int, Mesh]) -> Crowd:
     geometry, world_from_object = instances.geometry, instances.world_from_object
     box, triangles = np.zeros((geometries, 2, 3)), np.full(geometries, -1)
-    for row, mesh in meshes.items():
-        box[row], triangles[row] = bounding_box(mesh.position), len(mesh.triangles)
+    for number, mesh in meshes.items():
+        box[number], triangles[number] = bounding_box(mesh.position), len(mesh.triangles)
     middle, half = (box[:, 1] + box[:, 0]) / 2, (box[:, 1] - box[:, 0]) / 2
     row = np.flatnonzero((triangles[geometry] >= 0) & all_finite(world_from_object))
     centre, extent = np.empty((2, len(row), 3))
