@@ -181,7 +181,7 @@ def test_hidden_boxes_are_those_behind_all_that_is_drawn(monkeypatch):
 
 
 def test_boxes_as_wide_as_the_picture_are_spread_over_few_blocks():
-    """20,000 of them, one behind another, would be in 288 million blocks of 4 pixels."""
+    """20,000 of them, one behind another, would be in 1,152 million blocks of 2 pixels."""
     count, size = 20_000, (640, 360)
     low = np.zeros((count, 2))
     depths, seen, side = as_if_full(
@@ -198,6 +198,6 @@ def test_full_boxes_hide_what_is_behind_them():
     given = boxes(low, high, np.array([1.0, 2.0, 2.0]), np.ones(3))
     depths, seen, side = as_if_full(given, np.ones(3, bool), (120, 40))
     assert side == BLOCK_SIDE
-    np.testing.assert_array_equal(seen, [200, 0, 100])
-    np.testing.assert_array_equal(depths, np.where(np.arange(30) < 20, 1.5, 2.5) * np.ones((10, 1)))
+    np.testing.assert_array_equal(seen, [800, 0, 400])
+    np.testing.assert_array_equal(depths, np.where(np.arange(60) < 40, 1.5, 2.5) * np.ones((20, 1)))
     np.testing.assert_array_equal(is_behind(given, depths), [False, True, False])
