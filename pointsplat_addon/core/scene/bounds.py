@@ -8,8 +8,7 @@ import numpy as np
 
 from ..numeric.vectors import column_ranges, dot, each_block
 from .cloud import PointCloud
-from .joined import Joined, joined
-from .mesh import Mesh
+from .mesh import Joined, Mesh, joined
 
 
 def mesh_centre(mesh: Mesh) -> np.ndarray:

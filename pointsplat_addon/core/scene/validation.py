@@ -212,15 +212,19 @@ def _same(a: Any, b: Any) -> bool:
 
 def _within(value: np.ndarray | float, rule: Rule) -> bool:
     """Whether all numbers lie within the rule's range; NaN lies in none."""
+    if isinstance(value, float):
+        return rule.low <= value <= rule.high
     array = np.asarray(value)
     return array.size == 0 or bool(array.min() >= rule.low and array.max() <= rule.high)
 
 
 def _wrong(owner: Any, action: str) -> list[str]:
     """Names of the fields whose values call for this action."""
-    rules = {name: rule for name, rule in RULES[type(owner)].items() if rule.action == action}
-    values = {name: getattr(owner, name) for name in rules}
-    return [name for name, value in values.items() if value is not None and not _within(value, rules[name])]
+    return [
+        name
+        for name, rule in RULES[type(owner)].items()
+        if rule.action == action and (value := getattr(owner, name)) is not None and not _within(value, rule)
+    ]
 
 
 def _valid_geometries(geometries: tuple[Geometry, ...], warnings: list[str], lookup: Lookup) -> tuple[Geometry, ...]:

@@ -17,8 +17,7 @@ from ..numeric.record import record
 from ..numeric.segments import owners, ranks
 from ..numeric.vectors import cross, dot, lengths
 from ..scene.camera import Camera
-from ..scene.joined import joined
-from ..scene.mesh import Mesh
+from ..scene.mesh import Mesh, joined
 
 CELLS = 40  # along the longer side of the picture
 MOST_SAMPLES = 1 << 15  # of a geometry
@@ -116,7 +115,7 @@ def seen_places(camera: Camera, things: Sequence[tuple[Sketch, np.ndarray]]) -> 
     seen = (away < np.array([width, height]) / 2 + 2 * reach[:, None]).all(axis=1)
     seen &= (-middle[:, 2] + radius > camera.nearest) & (-middle[:, 2] - radius < camera.far)
     wide = seen & (2 * reach > WIDE * cell)
-    counts = np.array([len(matrices) for _, matrices in things])
+    counts = np.array([len(matrices) for _, matrices in things], int)
     ends = np.cumsum(counts)
     points, large = [np.zeros((0, 3))], [np.zeros((0, 3, 3))]
     for row in np.unique(owners(counts)[seen]).tolist():
@@ -161,7 +160,7 @@ def _pixels(camera: Camera, depth: np.ndarray) -> np.ndarray:
 def _balls(camera: Camera, things: Sequence[tuple[Sketch, np.ndarray]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns the matrices (I, 4, 4), view from object, of all instances, and middles (I, 3) and radii (I,) of balls
     around them. All at once: a scene may have thousands of sketches of one instance each."""
-    counts = [len(matrices) for _, matrices in things]
+    counts = np.array([len(matrices) for _, matrices in things], int)
     view = camera.view_from_world @ np.concatenate([np.zeros((0, 4, 4)), *(matrices for _, matrices in things)])
     middle = np.repeat(np.array([sketch.middle for sketch, _ in things]).reshape(-1, 3), counts, axis=0)
     radius = np.repeat(np.array([sketch.radius for sketch, _ in things]), counts)

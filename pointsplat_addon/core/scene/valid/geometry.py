@@ -12,8 +12,7 @@ from ...numeric.record import value_record
 from ...numeric.segments import offsets, owners
 from ...numeric.vectors import cross, dot, each_block
 from ..cloud import FARTHEST, LENGTHS, PointCloud
-from ..joined import Joined, joined
-from ..mesh import LARGEST, SMALLEST, Mesh, squared_edges, triangle_corners
+from ..mesh import LARGEST, SMALLEST, Joined, Mesh, joined, squared_edges, triangle_corners
 from ..strands import Strands
 
 MOST_STRAND_POINTS = 1 << 24  # of one geometry: float32 counts no farther
