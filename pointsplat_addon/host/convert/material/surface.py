@@ -152,9 +152,7 @@ def _with_unseen_of(surface: Surface, other: Surface) -> Surface:
     if metal:
         unseen += ["ior", "specular"]
     elif is_constant(surface.metallic, 0) and is_constant(surface.specular, 0):
-        unseen += ["tint"]
-    if dark and is_constant(surface.metallic, 0) and is_constant(surface.specular, 0):
-        unseen += ["tangent"]
+        unseen += ["tint", "roughness", "tangent"]
     if metal or dark:
         unseen += ["diffuse_roughness", "toon"]
     return replace(surface, **{name: getattr(other, name) for name in unseen})
