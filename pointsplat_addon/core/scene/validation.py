@@ -72,6 +72,7 @@ RULES: dict[type, dict[str, Rule]] = {
         "transmission_color": Rule(CLAMP, 0, 1),
         "backlit": Rule(CLAMP, 0, 1),
         "tint": Rule(CLAMP, 0, BRIGHTEST),
+        "gloss": Rule(CLAMP, -1, 1),
         "diffuse_roughness": Rule(CLAMP, 0, 1),
         "sheen": Rule(CLAMP, 0, 1),
         "toon": Rule(CLAMP, -1, 1),
