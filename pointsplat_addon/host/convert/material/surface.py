@@ -108,7 +108,8 @@ def mix_surfaces(a: Surface, b: Surface, factor: Expression) -> Surface:
     t = factor if both_opaque else math_nodes.Math(b_weight, alpha, ZERO, "DIVIDE")
     if not (is_constant(a.holdout, 0) and is_constant(b.holdout, 0)):
         return _mixed_holdout(a, b, first, factor)
-    a, b = _with_unseen_of(a, b), _with_unseen_of(b, a)
+    even = constant(t) is not None
+    a, b = _with_unseen_of(a, b, even), _with_unseen_of(b, a, even)
     backlit = _mixed_backlit(t, a, b)
     names = [f.name for f in fields(Surface) if f.name not in ("base_color", "gloss")]
     mixed = {name: _mix_unless_equal(t, getattr(a, name), getattr(b, name)) for name in names}
@@ -177,8 +178,11 @@ def _mixed_holdout(a: Surface, b: Surface, first: Expression, factor: Expression
     return replace(mix_surfaces(replace(a, holdout=ZERO), replace(b, holdout=ZERO), share), holdout=cut)
 
 
-def _with_unseen_of(surface: Surface, other: Surface) -> Surface:
-    """A surface that has the other's parameters where none of it shows its own, so that mixtures do not mix them."""
+def _with_unseen_of(surface: Surface, other: Surface, even: bool) -> Surface:
+    """A surface that has the other's parameters where none of it shows its own, so that mixtures do not mix them.
+
+    `even`: the mixture is the same everywhere. Where it is not, a dielectric's reflection fades by its roughness alone.
+    """
     unseen: list[str] = []
     metal, dark = is_constant(surface.metallic, 1), is_constant(surface.base_color, 0)
     if is_constant(surface.coat, 0):
@@ -188,7 +192,8 @@ def _with_unseen_of(surface: Surface, other: Surface) -> Surface:
     if metal:
         unseen += ["ior", "specular"]
     elif is_constant(surface.metallic, 0) and is_constant(surface.specular, 0):
-        unseen += ["tint", "roughness", "tangent"]
+        unseen += ["tint", "tangent"]
+        unseen += ["roughness"] if even or is_constant(other.metallic, 1) else []
     if metal or dark:
         unseen += ["diffuse_roughness", "toon"]
     return replace(surface, **{name: getattr(other, name) for name in unseen})
