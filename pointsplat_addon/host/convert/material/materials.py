@@ -19,6 +19,7 @@ from ....core.material.expression import Expression, constant, walk
 from ....core.material.graph import MaterialGraph
 from ....core.material.masks import is_mask
 from ....core.material.nodes import input_nodes
+from ....core.material.nodes.view_nodes import READ_EYE
 from ....core.numeric.cryptomatte import cryptomatte_hash
 from ....core.numeric.record import record
 from ....core.scene.materials import CoatTable, HairTable, MaterialTable, default_materials
@@ -210,10 +211,11 @@ def convert_material(material: bpy.types.Material, placement: FindPlacement = no
     translucent = _is_translucent(surface)
     if not translucent:
         surface = replace(surface, transmission_color=WHITE)
-    elif any(isinstance(node, input_nodes.Backfacing) for node in walk(surface.alpha, surface.transmission_color)):
-        tree.warnings.append(
-            f'Material "{material.name}": lights with a size cast its shadows as though all saw the front of it'
-        )
+    else:
+        kinds = {type(node) for node in walk(surface.alpha, surface.transmission_color)}
+        if kinds & {input_nodes.Backfacing, *READ_EYE}:
+            seen = "all saw the front of it" if input_nodes.Backfacing in kinds else "it were seen from all sides"
+            tree.warnings.append(f'Material "{material.name}": lights with a size cast its shadows as though {seen}')
     constants, graph = _split_constants(surface, tree)
     passes = constants.pop("transmission_color")
     return MaterialRow(
@@ -244,7 +246,9 @@ def _is_translucent(surface: Surface) -> bool:
     value = constant(surface.alpha)
     if value is not None:
         return bool(value[0] < 1 - 1e-6)
-    if any(isinstance(node, input_nodes.ObjectValue | input_nodes.Backfacing) for node in walk(surface.alpha)):
+    if any(
+        isinstance(node, (input_nodes.ObjectValue, input_nodes.Backfacing, *READ_EYE)) for node in walk(surface.alpha)
+    ):
         return True  # meshes that several objects show are cut out alike, and seen from either side
     return not is_mask(surface.alpha) or not is_constant(surface.transmission_color, 1)
 
