@@ -246,9 +246,8 @@ def _is_translucent(surface: Surface) -> bool:
     value = constant(surface.alpha)
     if value is not None:
         return bool(value[0] < 1 - 1e-6)
-    if any(
-        isinstance(node, (input_nodes.ObjectValue, input_nodes.Backfacing, *READ_EYE)) for node in walk(surface.alpha)
-    ):
+    depends = input_nodes.ObjectValue, input_nodes.Backfacing, *READ_EYE
+    if any(isinstance(node, depends) for node in walk(surface.alpha)):
         return True  # meshes that several objects show are cut out alike, and seen from either side
     return not is_mask(surface.alpha) or not is_constant(surface.transmission_color, 1)
 
