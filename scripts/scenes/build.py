@@ -38,7 +38,7 @@ def materials(count: int = 1, **columns) -> MaterialTable:
 
 
 FIELDS = ("names", "graphs", "anisotropy", "translucent", "transmission_color", "glass", "media", "hair", "coat",
-          "backlit", "tint", "diffuse_roughness", "sheen", "toon", "holdout")  # fmt: skip
+          "backlit", "tint", "gloss", "diffuse_roughness", "sheen", "toon", "holdout")  # fmt: skip
 
 
 def moved(offset: Vector = (0, 0, 0), scale: float | Vector = 1.0) -> np.ndarray:

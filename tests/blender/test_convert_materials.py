@@ -615,7 +615,7 @@ def test_tints_roughness_and_sheen_are_columns_that_scenes_without_them_lack():
     np.testing.assert_allclose(table.diffuse_roughness, [0, 0.5, 0.5])
     np.testing.assert_allclose(table.sheen, [[0, 0, 0, 0.5], [0.5, 0.25, 0, 0.25], [0.25, 0.125, 0, 0.25]])
     bare = convert_materials([surface("bare", principled)])[0]
-    assert (bare.tint, bare.diffuse_roughness, bare.sheen, bare.toon, bare.holdout) == (None,) * 5
+    assert (bare.tint, bare.gloss, bare.diffuse_roughness, bare.sheen, bare.toon, bare.holdout) == (None,) * 6
     assert bare.graphs[1] is None
 
 
@@ -778,8 +778,30 @@ def test_mixing_two_surfaces_mixes_their_parameters():
     out = evaluate_samples(graph_of(row), samples(position))
     f = color_of(position)[:, 0]
     np.testing.assert_allclose(out["metallic"], 1 - f, atol=1e-6)  # measured 0
-    np.testing.assert_allclose(out["roughness"], 0.2 * (1 - f) + f, atol=1e-6)  # measured 0
-    np.testing.assert_allclose(out["base_color"], np.stack([1 - f, 0.5 + 0 * f, f], axis=1), atol=1e-6)
+    assert row.constants["roughness"] == pytest.approx((0.2,))  # what is matt has none
+    assert row.constants["base_color"] == pytest.approx((0, 0.5, 1))
+    assert row.gloss == pytest.approx((1, 0.5, 0, 1))
+
+
+def test_each_share_of_a_constant_mixture_keeps_its_colour():
+    """Of a metallic surface of one colour, and a dull one over which a glossy one is mixed."""
+
+    def build(tree):
+        first = principled(tree, Base_Color=(0.6, 0.3, 0.9, 1), Metallic=0.5)
+        matt = output(node(tree, "ShaderNodeBsdfDiffuse", {"Color": (0, 0.5, 1, 1)}))
+        bright = output(node(tree, "ShaderNodeBsdfGlossy", {"Color": (0.9, 0.9, 0.9, 1)}))
+        second = output(node(tree, "ShaderNodeMixShader", {"Fac": 0.4, "Shader": matt, "Shader_001": bright}))
+        return output(node(tree, "ShaderNodeMixShader", {"Fac": 0.25, "Shader": first, "Shader_001": second}))
+
+    row = convert_material(surface("mixture", build))
+    base, shiny, metallic = np.array([0.6, 0.3, 0.9]), np.full(3, 0.9), 0.75 * 0.5 + 0.25 * 0.4
+    dull = 0.75 * 0.5 * base + 0.25 * 0.6 * np.array([0, 0.5, 1])
+    assert row.constants["metallic"] == pytest.approx((metallic,))
+    assert row.constants["base_color"] == pytest.approx(tuple(dull / (1 - metallic)))
+    assert row.gloss[:3] == pytest.approx(tuple((0.75 * 0.5 * base + 0.25 * 0.4 * shiny) / metallic))
+    table, _ = convert_materials([surface("mixture", build)])
+    assert table.gloss is not None
+    np.testing.assert_allclose(table.gloss, [[-1, -1, -1, 0], row.gloss])
 
 
 def test_evaluated_materials_carry_their_animation(atlas):

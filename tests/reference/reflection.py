@@ -29,6 +29,7 @@ class Look:
     sheen: np.ndarray | None = None  # (4,) colour, roughness
     toon: np.ndarray | None = None  # (2,) size, smoothness
     tangent: np.ndarray | None = None  # (N, 3)
+    gloss: np.ndarray | None = None  # (4,) colour of the metallic share, negative: the base's; 1 where it has no edge
 
 
 def lit(normal: np.ndarray, to_eye: np.ndarray, to_light: np.ndarray, look: Look) -> np.ndarray:
@@ -55,11 +56,14 @@ def lit(normal: np.ndarray, to_eye: np.ndarray, to_light: np.ndarray, look: Look
     reflected = np.where(look.eta[:, None] == 1, 0, ((1 - share) * f0 * tint + share) * albedo * dielectric_scale)
     diffuse = look.base * (1 - np.minimum(reflected.max(axis=1, keepdims=True), 1)) * (1 - look.metallic[:, None])
 
-    metal = look.base
+    metal, edge = look.base, np.ones(3)
+    if look.gloss is not None:
+        metal = metal if look.gloss[0] < 0 else np.broadcast_to(look.gloss[:3], metal.shape)
+        edge = metal if look.gloss[3] else edge
     seventh = 1 / 7
     dip = (metal + (1 - metal) * (1 - seventh) ** 5) * (1 - tint) / (seventh * (1 - seventh) ** 6)
-    metal_fresnel = np.clip(metal + (1 - metal) * (1 - between) ** 5 - dip * between * (1 - between) ** 6, 0, 1)
-    metal_scale = bsdf.multiple_scattering_factor(metal + (1 - metal) / 21 - dip / 126, albedo, mean)
+    metal_fresnel = np.clip(metal + (edge - metal) * (1 - between) ** 5 - dip * between * (1 - between) ** 6, 0, 1)
+    metal_scale = bsdf.multiple_scattering_factor(metal + (edge - metal) / 21 - dip / 126, albedo, mean)
     of_dielectric = tinted(fresnel_dielectric(between[:, 0], look.eta)[:, None]) * dielectric_scale
     fresnel = (1 - look.metallic[:, None]) * of_dielectric + look.metallic[:, None] * metal_fresnel * metal_scale
     glossy = ggx(normal, to_eye, to_light, half, look)[:, None] * fresnel * cos_light[:, None]

@@ -86,11 +86,15 @@ def choose_levels(
 
 
 def visible_instances(
-    view_from_object: np.ndarray, center: np.ndarray, radius: float, camera: Camera, margin: float = 1.0
+    view_from_object: np.ndarray,
+    center: np.ndarray,
+    radius: np.ndarray | float,
+    camera: Camera,
+    margin: float = 1.0,
 ) -> np.ndarray:
     """Which instances of a ball may extend into the camera's window, widened by `margin` pixels: (I,) bool.
 
-    `view_from_object` (I, 4, 4); `center` (3,) and `radius` of the ball in object space.
+    `view_from_object` (I, 4, 4); `center` (3,) and `radius` of the ball in object space, or (I, 3) and (I,).
     """
     return _bounding_balls(criteria_of(camera, 1.0, margin), view_from_object, center, radius).visible
 
@@ -104,14 +108,20 @@ class _Balls:
     scale: np.ndarray  # (I,) float64: by how much the instances are enlarged
 
 
-def _bounding_balls(criteria: Criteria, view_from_object: np.ndarray, center: np.ndarray, radius: float) -> _Balls:
+def _bounding_balls(
+    criteria: Criteria, view_from_object: np.ndarray, center: np.ndarray, radius: np.ndarray | float
+) -> _Balls:
     """The images of a ball in object space under the instances' matrices (I, 4, 4)."""
     good = all_finite(view_from_object)
     if not good.all():
         view_from_object = np.where(good[:, None, None], view_from_object, 0.0)
     linear = view_from_object[:, :3, :3]
     scale = largest_singular_value(linear)
-    position = (linear.reshape(-1, 3) @ center).reshape(-1, 3).T + view_from_object[:, :3, 3].T
+    if center.ndim == 1:  # a million instances of one ball: ten times as fast
+        moved = (linear.reshape(-1, 3) @ center).reshape(-1, 3)
+    else:
+        moved = np.einsum("iab,ib->ia", linear, center)
+    position = moved.T + view_from_object[:, :3, 3].T
     gone, _ = against_frustum(criteria, position, radius * scale, np.zeros(len(scale), bool))
     return _Balls(good & ~gone & (scale > 0), position, scale)
 

@@ -142,7 +142,12 @@ def bakeable(graph: MaterialGraph, unit_square: bool = False, active_uv: str | N
     maps = {active_uv if name is None else name for name in wanted.uv}
     if len(maps) != 1 or wanted.colors or wanted.position or wanted.generated or wanted.objects or object_normals:
         return False
-    if wanted.backfacing or graph.tangent is not None or any(isinstance(n, Bump) and n.of_object for n in nodes):
+    if (
+        wanted.backfacing
+        or wanted.eye
+        or graph.tangent is not None
+        or any(isinstance(n, Bump) and n.of_object for n in nodes)
+    ):
         return False
     if any(isinstance(n, Coordinates) for n in nodes if not _is_own_normal(n, nodes)):
         return False

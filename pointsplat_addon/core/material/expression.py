@@ -22,6 +22,15 @@ Part = slice | np.ndarray  # some of the samples: a slice of step 1, or (K,) ind
 
 
 @record
+class Eye:
+    """From where samples are seen."""
+
+    view_from_world: np.ndarray  # (4, 4) float64, rigid; the eye looks along -z
+    clip_from_view: np.ndarray  # (4, 4) float64, of the whole picture
+    perspective: bool
+
+
+@record
 class SampleInputs:
     """What is known at N samples of one mesh. Whatever is None or missing reads as Blender's default (zero)."""
 
@@ -38,6 +47,7 @@ class SampleInputs:
     objects: dict[str, np.ndarray] = field(default_factory=dict)
     # (N,) bool: the side is seen where the triangle's normal does not point; None: nowhere
     backfacing: np.ndarray | None = None
+    eye: Eye | None = None
     count: int | None = None  # N; None: the length of any array given
     # The inputs at the ends of two conjugate half-diameters of each sample's splat: images are filtered that wide
     displaced: tuple[SampleInputs, SampleInputs] | None = None

@@ -13,6 +13,7 @@ from .expression import Expression, walk
 from .nodes.input_nodes import UV, Attribute, Backfacing, ColorAttribute, Constant, Coordinates, ObjectValue
 from .nodes.normal_nodes import Bump, NormalMap, Tangent
 from .nodes.texture_nodes import ImageTexture
+from .nodes.view_nodes import READ_EYE
 
 
 @record
@@ -55,6 +56,7 @@ class Needs:
     images: bool = False  # whether images are mapped by any of these
     objects: frozenset[str] = frozenset()  # values of the object
     backfacing: bool = False
+    eye: bool = False
 
 
 def needs(graph: MaterialGraph) -> Needs:
@@ -77,6 +79,7 @@ def needs(graph: MaterialGraph) -> Needs:
         images=any(isinstance(n, ImageTexture) and n.uv.varies for n in nodes),
         objects=frozenset(n.name for n in nodes if isinstance(n, ObjectValue)),
         backfacing=any(isinstance(n, Backfacing) for n in nodes),
+        eye=any(isinstance(n, READ_EYE) for n in nodes),
     )
 
 

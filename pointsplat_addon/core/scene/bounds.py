@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..numeric.vectors import column_ranges, dot, each_block
 from .cloud import PointCloud
-from .mesh import Mesh
+from .mesh import Joined, Mesh, joined
 
 
 def mesh_centre(mesh: Mesh) -> np.ndarray:
@@ -37,6 +39,33 @@ def used_positions(mesh: Mesh) -> np.ndarray:
 
     each_block(len(mesh.triangles), mark)
     return mesh.position if used.all() else mesh.position[used]
+
+
+def triangle_boxes(meshes: Sequence[Mesh]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The corners, as of `bounding_box`, of boxes around all triangles of each mesh."""
+    found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+    for some in joined(meshes):
+        found |= zip(some.rows, zip(*_boxes(some)[1:], strict=True), strict=True)
+    return [found.get(row) or bounding_box(used_positions(mesh)) for row, mesh in enumerate(meshes)]
+
+
+def triangles_balls(meshes: Sequence[Mesh]) -> list[tuple[np.ndarray, float]]:
+    """`triangles_ball` of each mesh."""
+    found: dict[int, tuple[np.ndarray, float]] = {}
+    for some in joined(meshes):
+        corners, low, high = _boxes(some)
+        middle = (low + high) / 2
+        offset = corners.T - np.repeat(middle.T, 3 * np.diff(some.first), axis=1)
+        squared = np.maximum.reduceat(dot(offset, offset), 3 * some.first[:-1])
+        found |= zip(some.rows, zip(middle, np.sqrt(squared).tolist(), strict=True), strict=True)
+    return [found.get(row) or triangles_ball(mesh) for row, mesh in enumerate(meshes)]
+
+
+def _boxes(some: Joined) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Corners of triangles (3T, 3), and the low and high corner of each mesh, (M, 3) float64."""
+    corners, start = some.corners, 3 * some.first[:-1]
+    low, high = (extreme.reduceat(corners, start, axis=0).astype(float) for extreme in (np.minimum, np.maximum))
+    return corners, low, high
 
 
 def triangles_ball(mesh: Mesh) -> tuple[np.ndarray, float]:

@@ -67,6 +67,9 @@ class MaterialTable:
     # (M, 3) float32 of the specular reflection: dielectrics' at normal incidence; metals' at 82 degrees, over what
     # Schlick's curve has there (F82 tint); None: all 1
     tint: np.ndarray | None = None
+    # (M, 4) float32 of the metallic share: its colour, -1 where that is the base colour; and 1 where it reflects alike
+    # at every angle, as the Glossy BSDF does, else 0; None: all (-1, -1, -1, 0)
+    gloss: np.ndarray | None = None
     diffuse_roughness: np.ndarray | None = None  # (M,) float32, 0 to 1, of Oren and Nayar's model; None: all 0
     sheen: np.ndarray | None = None  # (M, 4) float32, 0 to 1: colour times weight, roughness; None: no sheen
     # (M, 2) float32: size and smoothness of materials whose diffuse light is the Toon BSDF's, else -1; None: none is

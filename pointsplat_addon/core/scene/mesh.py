@@ -1,15 +1,20 @@
-"""Triangles of a mesh, and their corners and edges as rows of coordinates."""
+"""Triangles of a mesh, and their corners and edges as rows of coordinates; many small meshes as one."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import field, replace
 
 import numpy as np
 
 from ..numeric.record import record
+from ..numeric.segments import offsets
 from ..numeric.vectors import dot
 
 SMALLEST, LARGEST = 1e-18, 1e18  # edge length and coordinate whose squares float32 still holds
+# A scene may have thousands of meshes: a call for each costs more than what it measures, but of larger ones
+FEW_TRIANGLES = 1 << 12
+TOGETHER = 1 << 16  # triangles that are joined, about: as many as the processor's caches hold
 
 
 @record
@@ -80,3 +85,40 @@ def squared_edges(corners: np.ndarray) -> np.ndarray:
     """(3, n) squared lengths of the edges opposite corners 0, 1 and 2."""
     edges = [corners[2] - corners[1], corners[0] - corners[2], corners[1] - corners[0]]
     return np.stack([dot(e, e) for e in edges])
+
+
+@record
+class Joined:
+    """The triangles of M meshes, of one after the other."""
+
+    rows: list[int]  # which meshes
+    position: np.ndarray  # (V, 3) float32
+    triangles: np.ndarray  # (T, 3) int32, rows of position
+    first_vertex: np.ndarray  # (M + 1,) int64: of each mesh
+    first: np.ndarray  # (M + 1,) int64: triangle of each mesh
+
+    @property
+    def corners(self) -> np.ndarray:
+        """(3T, 3) float32: positions of the corners."""
+        return self.position.take(self.triangles.reshape(-1), axis=0)
+
+
+def joined(meshes: Sequence[Mesh]) -> Iterator[Joined]:
+    """Yields all meshes with at most FEW_TRIANGLES triangles, but for those without any, about TOGETHER at a time."""
+    rows: list[int] = []
+    held = 0
+    for row, mesh in enumerate(meshes):
+        if 0 < len(mesh.triangles) <= FEW_TRIANGLES:
+            rows.append(row)
+            held += len(mesh.triangles)
+        if rows and (held >= TOGETHER or row == len(meshes) - 1):
+            yield _join(rows, [meshes[one] for one in rows])
+            rows, held = [], 0
+
+
+def _join(rows: list[int], meshes: list[Mesh]) -> Joined:
+    vertices = offsets([len(mesh.position) for mesh in meshes])
+    first = offsets([len(mesh.triangles) for mesh in meshes])
+    triangles = np.concatenate([mesh.triangles for mesh in meshes])
+    triangles += np.repeat(vertices[:-1], np.diff(first)).astype(triangles.dtype)[:, None]
+    return Joined(rows, np.concatenate([mesh.position for mesh in meshes]), triangles, vertices, first)

@@ -7,7 +7,7 @@ validates again, but for products that can overflow although their factors are v
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -24,7 +24,7 @@ from .mesh import LARGEST, Mesh
 from .scene import Geometry, Instances, PointSize, Scene, StreamedScan
 from .strands import Strands
 from .valid.captured import valid_captured
-from .valid.geometry import valid_mesh, valid_points, valid_strands
+from .valid.geometry import DroppedTriangles, valid_meshes, valid_points, valid_strands
 from .volume import Medium, Transfer, Volume
 from .world import Fog, Mist, World
 
@@ -72,6 +72,7 @@ RULES: dict[type, dict[str, Rule]] = {
         "transmission_color": Rule(CLAMP, 0, 1),
         "backlit": Rule(CLAMP, 0, 1),
         "tint": Rule(CLAMP, 0, BRIGHTEST),
+        "gloss": Rule(CLAMP, -1, 1),
         "diffuse_roughness": Rule(CLAMP, 0, 1),
         "sheen": Rule(CLAMP, 0, 1),
         "toon": Rule(CLAMP, -1, 1),
@@ -165,10 +166,15 @@ RULES: dict[type, dict[str, Rule]] = {
         _VOXELS),
 }  # fmt: skip
 
-Lookup = Callable[[str, Callable[[], Any]], Any]  # what is kept for a content key, made where there is nothing
+# What is kept for content keys; what is not is made, by the rows of its keys, all at once
+Lookup = Callable[[Sequence[str], Callable[[list[int]], Sequence[Any]]], list[Any]]
 
 
-def validate(scene: Scene, camera: Camera, lookup: Lookup = lambda key, make: make()) -> tuple[Scene, Camera]:
+def _not_kept(keys: Sequence[str], make: Callable[[list[int]], Sequence[Any]]) -> list[Any]:
+    return list(make(list(range(len(keys)))))
+
+
+def validate(scene: Scene, camera: Camera, lookup: Lookup = _not_kept) -> tuple[Scene, Camera]:
     """Returns a scene and a camera all of whose values can be drawn, by RULES; warnings are in the scene's.
 
     What is valid is returned itself, not copied, and a scene that was validated before is not looked at again.
@@ -182,7 +188,7 @@ def validate(scene: Scene, camera: Camera, lookup: Lookup = lambda key, make: ma
     changed: dict[str, Any] = {}
     if not scene.validated:
         fields = {
-            "geometries": tuple(_valid_geometry(geometry, warnings, lookup) for geometry in scene.geometries),
+            "geometries": _valid_geometries(scene.geometries, warnings, lookup),
             "instances": _valid_instances(scene.instances),
             "materials": _valid_materials(scene.materials, warnings),
             "lights": tuple(light for light in scene.lights if _valid_light(light, warnings)),
@@ -207,28 +213,40 @@ def _same(a: Any, b: Any) -> bool:
 
 def _within(value: np.ndarray | float, rule: Rule) -> bool:
     """Whether all numbers lie within the rule's range; NaN lies in none."""
+    if isinstance(value, float):
+        return rule.low <= value <= rule.high
     array = np.asarray(value)
     return array.size == 0 or bool(array.min() >= rule.low and array.max() <= rule.high)
 
 
 def _wrong(owner: Any, action: str) -> list[str]:
     """Names of the fields whose values call for this action."""
-    rules = {name: rule for name, rule in RULES[type(owner)].items() if rule.action == action}
-    values = {name: getattr(owner, name) for name in rules}
-    return [name for name, value in values.items() if value is not None and not _within(value, rules[name])]
+    return [
+        name
+        for name, rule in RULES[type(owner)].items()
+        if rule.action == action and (value := getattr(owner, name)) is not None and not _within(value, rule)
+    ]
 
 
-def _valid_geometry(geometry: Geometry, warnings: list[str], lookup: Lookup) -> Geometry:
-    """The geometry without what of it cannot be drawn."""
-    kinds = (geometry.mesh, geometry.cloud, geometry.strands, geometry.captured)
-    data = next((kind for kind in kinds if kind is not None), None)
-    if wrong := _wrong(geometry, DEFAULT):
-        geometry = replace(geometry, **dict.fromkeys(wrong, 0.0))
-    if data is None:
-        return geometry
-    changed, messages = lookup(geometry.key, lambda: _valid_data(data))
-    warnings += [f"{geometry.name}: {message}" for message in messages]
-    return geometry if changed is None else replace(geometry, **{changed.name: changed.data})
+def _valid_geometries(geometries: tuple[Geometry, ...], warnings: list[str], lookup: Lookup) -> tuple[Geometry, ...]:
+    """The geometries without what of them cannot be drawn."""
+    found = [
+        replace(geometry, **dict.fromkeys(wrong, 0.0)) if (wrong := _wrong(geometry, DEFAULT)) else geometry
+        for geometry in geometries
+    ]
+    kinds = ((one.mesh, one.cloud, one.strands, one.captured) for one in geometries)
+    data = {
+        row: next(kind for kind in some if kind is not None)
+        for row, some in enumerate(kinds)
+        if any(kind is not None for kind in some)
+    }
+    held = list(data.values())
+    looked_at = lookup([geometries[row].key for row in data], lambda rows: _valid_data([held[row] for row in rows]))
+    for row, (changed, messages) in zip(data, looked_at, strict=True):
+        warnings += [f"{geometries[row].name}: {message}" for message in messages]
+        if changed is not None:
+            found[row] = replace(found[row], **{changed.name: changed.data})
+    return tuple(found)
 
 
 _Data = Mesh | PointCloud | Strands | CapturedSplats
@@ -246,13 +264,19 @@ class _Changed:
         return self.data.nbytes
 
 
-def _valid_data(data: _Data) -> tuple[_Changed | None, tuple[str, ...]]:
-    """What takes the place of a geometry's data, None where these are valid, and messages."""
-    if isinstance(data, Mesh):
-        name = "mesh"
-        found, dropped = valid_mesh(data)
-        messages = (dropped.message,) if dropped.total else ()
-    elif isinstance(data, PointCloud):
+def _valid_data(data: list[_Data]) -> list[tuple[_Changed | None, tuple[str, ...]]]:
+    """What takes the place of geometries' data, None where these are valid, and messages."""
+    meshes = [one for one in data if isinstance(one, Mesh)]
+    valid = iter(valid_meshes(meshes))
+    return [_valid_mesh(one, *next(valid)) if isinstance(one, Mesh) else _valid_others(one) for one in data]
+
+
+def _valid_mesh(mesh: Mesh, found: Mesh, dropped: DroppedTriangles) -> tuple[_Changed | None, tuple[str, ...]]:
+    return None if found is mesh else _Changed("mesh", found), (dropped.message,) if dropped.total else ()
+
+
+def _valid_others(data: PointCloud | Strands | CapturedSplats) -> tuple[_Changed | None, tuple[str, ...]]:
+    if isinstance(data, PointCloud):
         name = "cloud"
         found, count = valid_points(data)
         messages = (f"{count} points that are not finite were left out",) if count else ()

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..numeric.vectors import unit_rows
+from ..numeric.vectors import cross, dot, unit_rows
 from ..scene.bounds import box_corners, used_positions
 from ..scene.lights import Light
 from ..scene.mesh import Mesh
@@ -22,7 +22,7 @@ FLAT_COSINE = 0.999  # least cosine between the normals of a slab's corners and 
 def plane_of_mesh(mesh: Mesh, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """A point (3,) and the unit normal (3,) float64, object space, of the plane that holds all triangles of a
     mesh between corners (3,); None if there is no such plane."""
-    slack = FLATNESS * float(np.linalg.norm(high - low) + np.abs(box_corners(low, high)).max())
+    slack = FLATNESS * float(np.linalg.norm(high - low) + max(np.abs(low).max(), np.abs(high).max()))
     some = mesh.triangles[:: max(1, len(mesh.triangles) // SOME_TRIANGLES)]
     found = _plane_through(mesh.position[some.reshape(-1)])
     if found is not None and not found[2] <= LOOSE * slack:
@@ -39,9 +39,9 @@ def _plane_through(position: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]
     offset = position.astype(np.float64)
     first = offset[0].copy()
     offset -= first
-    along = offset[(offset**2).sum(axis=1).argmax()]
-    normals = np.cross(along, offset)
-    normal = normals[(normals**2).sum(axis=1).argmax()]
+    along = offset[dot(offset.T, offset.T).argmax()]
+    normals = cross(along[:, None], offset.T)
+    normal = normals[:, dot(normals, normals).argmax()]
     length = np.linalg.norm(normal)
     if not length > 0:
         return None

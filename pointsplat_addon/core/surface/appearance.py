@@ -324,7 +324,7 @@ def _subset(samples: Samples, part: Part) -> Samples:
     owner = None if samples.object is None else samples.object[part]
     back = None if samples.backfacing is None else samples.backfacing[part]
     triangle, barycentric = samples.triangle[part], samples.barycentric[part]
-    return Samples(samples.method, triangle, barycentric, ellipse, owner, back)
+    return Samples(samples.method, triangle, barycentric, ellipse, owner, back, samples.eye)
 
 
 def _inputs(
@@ -356,6 +356,7 @@ def _inputs(
         bitangent_sign=sign,
         objects={name: _of_objects(mesh, samples, name) for name in wanted.objects & mesh.objects.keys()},
         backfacing=samples.backfacing if wanted.backfacing else None,
+        eye=samples.eye if wanted.eye else None,
         count=len(samples),
     )
     wide = wide and wanted.images

@@ -159,6 +159,7 @@ def _at(
         np.tile(np.float32(share) * samples.ellipse, (len(places), 1, 1)),
         None if samples.object is None else np.tile(samples.object, len(places)),
         None if samples.backfacing is None else np.tile(samples.backfacing, len(places)),
+        samples.eye,
     )
     look = at_places(mesh, whole, graphs, table, np.tile(scale, len(places)))
     named = {name: getattr(look, name) for name in ("color", "surface", "emission", "normal", "tangent")}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..material.expression import Eye
 from ..numeric.record import record
 from ..numeric.vectors import blocks
 from ..scene.mesh import Mesh
@@ -23,6 +24,7 @@ class Samples:
     object: np.ndarray | None = None  # (N,) integers, rows of Mesh.objects; None: all lie on the first
     # (N,) bool: seen from where the triangle's normal does not point; None: nowhere
     backfacing: np.ndarray | None = None
+    eye: Eye | None = None  # from where all are seen; None: from anywhere
 
     def __len__(self) -> int:
         return len(self.triangle)
@@ -84,4 +86,5 @@ def take_samples(samples: Samples, rows: np.ndarray) -> Samples:
     ellipse = None if samples.ellipse is None else samples.ellipse.take(rows, axis=0)
     owner = None if samples.object is None else samples.object[rows]
     back = None if samples.backfacing is None else samples.backfacing[rows]
-    return Samples(samples.method, samples.triangle[rows], samples.barycentric.take(rows, axis=0), ellipse, owner, back)
+    triangle, barycentric = samples.triangle[rows], samples.barycentric.take(rows, axis=0)
+    return Samples(samples.method, triangle, barycentric, ellipse, owner, back, samples.eye)

@@ -8,14 +8,16 @@ do well without.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
 from ..numeric.linear import largest_singular_value
 from ..numeric.record import record
 from ..numeric.segments import owners, ranks
-from ..numeric.vectors import cross, dot
+from ..numeric.vectors import cross, dot, lengths
 from ..scene.camera import Camera
+from ..scene.mesh import Mesh, joined
 
 CELLS = 40  # along the longer side of the picture
 MOST_SAMPLES = 1 << 15  # of a geometry
@@ -41,9 +43,35 @@ def sketch_of_triangles(position: np.ndarray, triangles: np.ndarray) -> Sketch:
     """Returns the sketch of a mesh: positions (V, 3), triangles (T, 3)."""
     corners = position[triangles[:: max(1, -(-len(triangles) // MOST_SAMPLES))]].astype(np.float64)
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    largest = np.argsort(area)[-MOST_LARGE:]
-    large = corners[largest[area[largest] > LARGE_SHARE * area.sum()]]
+    large = _largest(corners, area, area > LARGE_SHARE * area.sum())
     return _sketch(corners.mean(axis=1), large, corners.reshape(-1, 3))
+
+
+def sketches_of_meshes(meshes: Sequence[Mesh]) -> list[Sketch]:
+    """Returns the sketch of each mesh."""
+    found: dict[int, Sketch] = {}
+    for some in joined(meshes):
+        corners = some.corners.reshape(-1, 3, 3).astype(np.float64)
+        if not np.isfinite(corners).all():
+            continue
+        first = some.first[:-1]
+        area = lengths(cross((corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T))
+        large = area > LARGE_SHARE * np.repeat(np.add.reduceat(area, first), np.diff(some.first))
+        low, high = corners.min(axis=1), corners.max(axis=1)
+        low, high = np.minimum.reduceat(low, first, axis=0), np.maximum.reduceat(high, first, axis=0)
+        middle, radius = (low + high) / 2, np.linalg.norm(high - low, axis=1) / 2
+        points = corners.mean(axis=1)
+        for number, (row, ends) in enumerate(zip(some.rows, pairwise(some.first.tolist()), strict=True)):
+            own = slice(*ends)
+            of_mesh = _largest(corners[own], area[own], large[own])
+            found[row] = Sketch(points[own].copy(), of_mesh, middle[number], float(radius[number]))
+    return [found.get(row) or sketch_of_triangles(mesh.position, mesh.triangles) for row, mesh in enumerate(meshes)]
+
+
+def _largest(corners: np.ndarray, area: np.ndarray, large: np.ndarray) -> np.ndarray:
+    """Returns those of triangles (T, 3, 3) that are `large` (T,) bool, MOST_LARGE of them at most."""
+    rows = np.flatnonzero(large)
+    return corners[rows if len(rows) <= MOST_LARGE else rows[np.argsort(area[rows])[-MOST_LARGE:]]]
 
 
 def sketch_of_points(position: np.ndarray) -> Sketch:
@@ -63,11 +91,9 @@ def _sketch(points: np.ndarray, large: np.ndarray, bounded: np.ndarray) -> Sketc
 @np.errstate(all="ignore")
 def narrowest_pixel(camera: Camera, things: Sequence[tuple[Sketch, np.ndarray]]) -> float:
     """Returns how far a pixel reaches at least, in world units, at any place that seen_places may find."""
-    nearest = np.inf
-    for sketch, matrices in things:
-        middle, radius = _balls(camera.view_from_world @ matrices, sketch)
-        reached = -middle[:, 2] - radius
-        nearest = min(nearest, float(np.where(np.isfinite(reached), reached, -np.inf).min(initial=np.inf)))
+    _, middle, radius = _balls(camera, things)
+    reached = -middle[:, 2] - radius
+    nearest = np.where(np.isfinite(reached), reached, -np.inf).min(initial=np.inf)
     return float(_pixels(camera, np.maximum(nearest, camera.nearest)))
 
 
@@ -82,20 +108,25 @@ def seen_places(camera: Camera, things: Sequence[tuple[Sketch, np.ndarray]]) -> 
     width, height = camera.window[2:]
     cell = max(width, height) / CELLS
     columns, rows = (max(1, int(np.ceil(side / cell))) for side in (width, height))
+    view, middle, radius = _balls(camera, things)
+    ahead = np.maximum(-middle[:, 2], radius) if camera.perspective else np.ones(len(view))
+    reach = radius * max(abs(fx), abs(fy)) / np.maximum(ahead, 1e-30)
+    away = np.abs(middle[:, :2] * [fx, fy] / ahead[:, None] + [cx - width / 2, cy - height / 2])
+    seen = (away < np.array([width, height]) / 2 + 2 * reach[:, None]).all(axis=1)
+    seen &= (-middle[:, 2] + radius > camera.nearest) & (-middle[:, 2] - radius < camera.far)
+    wide = seen & (2 * reach > WIDE * cell)
+    counts = np.array([len(matrices) for _, matrices in things], int)
+    ends = np.cumsum(counts)
     points, large = [np.zeros((0, 3))], [np.zeros((0, 3, 3))]
-    for sketch, matrices in things:
-        view = camera.view_from_world @ matrices
-        middle, radius = _balls(view, sketch)
-        ahead = np.maximum(-middle[:, 2], radius) if camera.perspective else np.ones(len(view))
-        reach = radius * max(abs(fx), abs(fy)) / np.maximum(ahead, 1e-30)
-        away = np.abs(middle[:, :2] * [fx, fy] / ahead[:, None] + [cx - width / 2, cy - height / 2])
-        seen = (away < np.array([width, height]) / 2 + 2 * reach[:, None]).all(axis=1)
-        seen &= (-middle[:, 2] + radius > camera.nearest) & (-middle[:, 2] - radius < camera.far)
-        wide = seen & (2 * reach > WIDE * cell)
-        for which, most in ((wide, MOST_SAMPLES_OF_NEAR // max(int(wide.sum()), 1)), (seen & ~wide, FEW_SAMPLES)):
-            some = sketch.points[:: max(1, -(-len(sketch.points) // max(most, 1)))]
-            points.append(_moved(view[which], some).reshape(-1, 3))
-        large.append(_moved(view[wide], sketch.large.reshape(-1, 3)).reshape(-1, 3, 3))
+    for row in np.unique(owners(counts)[seen]).tolist():
+        sketch, own = things[row][0], slice(ends[row] - counts[row], ends[row])
+        near, far = view[own][wide[own]], view[own][seen[own] & ~wide[own]]
+        for views, most in ((near, MOST_SAMPLES_OF_NEAR // max(len(near), 1)), (far, FEW_SAMPLES)):
+            if len(views):
+                some = sketch.points[:: max(1, -(-len(sketch.points) // max(most, 1)))]
+                points.append(_moved(views, some).reshape(-1, 3))
+        if len(near):
+            large.append(_moved(near, sketch.large.reshape(-1, 3)).reshape(-1, 3, 3))
     place = np.concatenate(points)
     depth = -place[:, 2]
     kept = (depth > camera.nearest) & (depth < camera.far)
@@ -126,10 +157,16 @@ def _pixels(camera: Camera, depth: np.ndarray) -> np.ndarray:
     return (depth if camera.perspective else np.ones_like(depth)) / max(abs(fx), abs(fy))
 
 
-def _balls(view_from_object: np.ndarray, sketch: Sketch) -> tuple[np.ndarray, np.ndarray]:
-    """Returns middles (I, 3) and radii (I,) of balls around a sketch's instances (I, 4, 4)."""
-    linear = view_from_object[:, :3, :3]
-    return linear @ sketch.middle + view_from_object[:, :3, 3], sketch.radius * largest_singular_value(linear)
+def _balls(camera: Camera, things: Sequence[tuple[Sketch, np.ndarray]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns the matrices (I, 4, 4), view from object, of all instances, and middles (I, 3) and radii (I,) of balls
+    around them. All at once: a scene may have thousands of sketches of one instance each."""
+    counts = np.array([len(matrices) for _, matrices in things], int)
+    view = camera.view_from_world @ np.concatenate([np.zeros((0, 4, 4)), *(matrices for _, matrices in things)])
+    middle = np.repeat(np.array([sketch.middle for sketch, _ in things]).reshape(-1, 3), counts, axis=0)
+    radius = np.repeat(np.array([sketch.radius for sketch, _ in things]), counts)
+    linear = view[:, :3, :3]
+    moved = np.einsum("iab,ib->ia", linear, middle) + view[:, :3, 3]
+    return view, moved, radius * largest_singular_value(linear)
 
 
 def _moved(matrices: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Set
+from collections.abc import Callable, Sequence, Set
 from typing import Any
 
 import numpy as np
@@ -51,6 +51,18 @@ class Cache:
                 self._bytes += size
                 self._added(key)
             return self._items[key][0] if key in self._items else item
+
+    def lookup_all(self, keys: Sequence[Key], make: Callable[[list[int]], Sequence[Any]]) -> list[Any]:
+        """Returns the items of `keys`. `make`: of those that there are none of, by their rows, all at once."""
+        with self._lock:
+            found = {key: self._items[key][0] for key in keys if key in self._items}
+            for key in found:
+                self._items.move_to_end(key)
+        missing = {key: row for row, key in enumerate(keys) if key not in found}
+        if missing:
+            for key, item in zip(missing, make(list(missing.values())), strict=True):
+                found[key] = self.lookup(key, lambda item=item: item)
+        return [found[key] for key in keys]
 
     def trim(self, in_use: Set[Key] = frozenset()) -> None:
         """Drops items that are not `in_use`, least recently used first, until the rest fits the limit."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Hashable, Iterator
 from enum import Enum, auto
-
-from ...core.numeric.record import value_record
+from typing import NamedTuple
 
 
 class Kind(Enum):
@@ -116,8 +115,7 @@ class Kind(Enum):
     __hash__ = object.__hash__
 
 
-@value_record
-class Key:
+class Key(NamedTuple):  # hashed and compared many times a frame for each geometry, which tuples are without Python
     """What an item is and what it depends on; two keys are equal if all of it is."""
 
     kind: Kind

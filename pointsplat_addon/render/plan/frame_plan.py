@@ -183,7 +183,9 @@ def make_frame_plan(
         coarse = max(request.settings.shadow_resolution // MOVING_SHADOWS, LEAST_SHADOWS)
         request = replace(request, settings=replace(request.settings, shadow_resolution=coarse))
     scene, camera = validate(
-        scene, request.camera, lambda content, make: store.lookup(Key(Kind.VALIDATED, content), make)
+        scene,
+        request.camera,
+        lambda contents, make: store.lookup_all([Key(Kind.VALIDATED, content) for content in contents], make),
     )
     warnings = scene.warnings
     scene, of_parts = separate_translucent(scene, store)

@@ -327,6 +327,7 @@ def _materials(scene: Scene, varies: bool) -> tuple[str, ...]:
         "PS_COAT": table.coat is not None,
         "PS_BACKLIT": table.backlit is not None,
         "PS_TINTED": table.tint is not None,
+        "PS_GLOSS": metal and table.gloss is not None,
         "PS_ROUGH_DIFFUSE": table.diffuse_roughness is not None,
         "PS_SHEEN": table.sheen is not None,
         "PS_TOON": table.toon is not None,

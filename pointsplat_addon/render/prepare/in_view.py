@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
@@ -15,13 +16,15 @@ from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
-from .meshes.points import mesh_ball
+from .meshes.points import keep_mesh_balls, mesh_ball
 from .point_sets import Layer, PointSet, set_ball
 from .prepare import Prepared
 
 MARGIN = 8.0  # pixels: kernels end this far outside of what they cover, at most
 OUT_OF_VIEW, CLEAR = "nothing of it is in view", "nothing of it hides or emits light"
+TOGETHER = 4096  # instances, at least, that are looked at as one
 Ball = tuple[np.ndarray, np.ndarray, float]  # view_from_object (I, 4, 4); centre (3,) and radius in object space
+Balls = tuple[np.ndarray, np.ndarray, np.ndarray]  # the same with a centre (I, 3) and a radius (I,) for each
 
 
 def without_invisible_layers(
@@ -59,12 +62,36 @@ def layer_balls(layer: Layer, view_from_object: np.ndarray, store: Store) -> Ite
 
 def polygon_balls(scene: Scene, prepared: Prepared, store: Store) -> Iterator[Ball]:
     """Yields a ball for each mesh of which instances are drawn as polygons or panes."""
-    geometry = scene.instances.geometry[prepared.all_polygons]
-    for row in np.unique(geometry).tolist():
-        mesh = scene.geometries[row].mesh
-        if mesh is not None:
-            middle, reach = mesh_ball(mesh, store)
-            yield prepared.view_from_object[prepared.all_polygons[geometry == row]], middle, reach
+    drawn = np.zeros(len(scene.instances), bool)
+    drawn[prepared.all_polygons] = True
+    of_each = zip(scene.geometries, scene.instances.of_each(len(scene.geometries), drawn), strict=True)
+    found = [(geometry.mesh, where) for geometry, where in of_each if geometry.mesh is not None and len(where)]
+    keep_mesh_balls([mesh for mesh, _ in found], store)
+    for mesh, where in found:
+        middle, reach = mesh_ball(mesh, store)
+        yield prepared.view_from_object[where], middle, reach
+
+
+def _joined(balls: Iterable[Ball]) -> Iterator[Balls]:
+    """Yields the same balls in blocks: a scene may have thousands of geometries of one instance each, or a million instances
+    of one."""
+    parts: list[Ball] = []
+    gathered = 0
+
+    def join() -> Balls:
+        count = [len(views) for views, _, _ in parts]
+        views, middles, radii = zip(*parts, strict=True)
+        return np.concatenate(views), np.repeat(np.stack(middles), count, axis=0), np.repeat(np.array(radii), count)
+
+    for views, middle, reach in balls:
+        for some in blocks(len(views)):
+            parts.append((views[some], middle, reach))
+            gathered += len(views[some])
+            if gathered >= TOGETHER:
+                yield join()
+                parts, gathered = [], 0
+    if parts:
+        yield join()
 
 
 def ball_of_all_drawn(scene: Scene, prepared: Prepared, store: Store) -> tuple[np.ndarray, float]:
@@ -72,11 +99,12 @@ def ball_of_all_drawn(scene: Scene, prepared: Prepared, store: Store) -> tuple[n
     strands."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     layers = (prepared, prepared.translucent, prepared.spheres, prepared.nodes)
-    found = [ball for layer in layers for ball in layer_balls(layer, prepared.view_from_object, store)]
-    for views, middle, reach in (*found, *polygon_balls(scene, prepared, store)):
-        views = views[all_finite(views)]
-        centre = views[:, :3, :3] @ middle + views[:, :3, 3]
-        radius = reach * largest_singular_value(views[:, :3, :3])[:, None]
+    found = (ball for layer in layers for ball in layer_balls(layer, prepared.view_from_object, store))
+    for views, middle, reach in _joined(chain(found, polygon_balls(scene, prepared, store))):
+        finite = all_finite(views)
+        views, middle, reach = views[finite], middle[finite], reach[finite]
+        centre = np.einsum("iab,ib->ia", views[:, :3, :3], middle) + views[:, :3, 3]
+        radius = (reach * largest_singular_value(views[:, :3, :3]))[:, None]
         low = np.minimum(low, (centre - radius).min(axis=0, initial=np.inf))
         high = np.maximum(high, (centre + radius).max(axis=0, initial=-np.inf))
     if prepared.strands or not (np.isfinite(low) & np.isfinite(high)).all():
@@ -87,9 +115,7 @@ def ball_of_all_drawn(scene: Scene, prepared: Prepared, store: Store) -> tuple[n
 def _any_visible(balls: Iterator[Ball], camera: Camera) -> bool:
     """Tells whether any instance of any ball may intersect the picture."""
     return any(
-        bool(visible_instances(views[some], middle, reach, camera, MARGIN).any())
-        for views, middle, reach in balls
-        for some in blocks(len(views))
+        bool(visible_instances(views, middle, reach, camera, MARGIN).any()) for views, middle, reach in _joined(balls)
     )
 
 

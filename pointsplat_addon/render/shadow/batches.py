@@ -21,7 +21,7 @@ from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from ..prepare.layers import MANY_INSTANCES
 from ..prepare.point_sets import coherent_with_foliage
-from .casting import CastingGeometry, cached_bounding_box, cached_mesh_extents, cached_strands, transmission_digest
+from .casting import CastingGeometry, cached_bounding_box, cached_mesh_extents, cached_strands, transmission_digests
 from .spacing import MAX_SAMPLES
 
 MAX_POINTS_WITHOUT_NODES = 1 << 22  # of all instances of one mesh: if there are more, nodes replace them
@@ -54,7 +54,7 @@ def splat_batches(
     `spacing`: of the samples of each caster, object units; 0: a mesh does not cast. `check` may raise to stop.
     """
     found = []
-    for caster, length in zip(casters, spacing, strict=True):
+    for caster, length, transmits in zip(casters, spacing, transmission_digests(scene, casters), strict=True):
         check()
         cloud, mesh, captured = caster.geometry.cloud, caster.geometry.mesh, caster.geometry.captured
         if captured is not None:
@@ -67,11 +67,10 @@ def splat_batches(
                 )
             ]
         if mesh is not None and length > 0:
-            clouds = _mesh_samples(scene, caster.geometry, mesh, length, store)
+            clouds = _mesh_samples(scene, caster.geometry, mesh, transmits, length, store)
         for cloud in clouds:
             if len(cloud) * len(caster.matrices) > MAX_POINTS_WITHOUT_NODES and _can_use_nodes(cloud, caster):
-                look = transmission_digest(scene, caster.geometry)
-                key = Key(Kind.CASTER_NODES, caster.geometry.key, look, spacing=length, other=len(caster.matrices))
+                key = Key(Kind.CASTER_NODES, caster.geometry.key, transmits, spacing=length, other=len(caster.matrices))
                 coarse = store.lookup(
                     key, lambda cloud=cloud, caster=caster: _coarse_nodes(cloud, len(caster.matrices))
                 )
@@ -126,9 +125,11 @@ def _instances_in_world(cloud: PointCloud, matrices: np.ndarray) -> PointCloud:
     )
 
 
-def _mesh_samples(scene: Scene, geometry: Geometry, mesh: Mesh, spacing: float, store: Store) -> tuple[PointCloud, ...]:
+def _mesh_samples(
+    scene: Scene, geometry: Geometry, mesh: Mesh, transmits: str, spacing: float, store: Store
+) -> tuple[PointCloud, ...]:
     """Returns clouds of samples of a mesh at `spacing`, in object units, independent of any view."""
-    key = Key(Kind.CASTER_SAMPLES, geometry.key, transmission_digest(scene, geometry), spacing=spacing)
+    key = Key(Kind.CASTER_SAMPLES, geometry.key, transmits, spacing=spacing)
     shape = cached_mesh_extents(geometry, mesh, store)
 
     def make() -> tuple[PointCloud, ...]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ...core.numeric.linear import largest_singular_value
 from ...core.numeric.record import record
-from ...core.scene.bounds import bounding_box, used_positions
+from ...core.scene.bounds import bounding_box, triangle_boxes, used_positions
 from ...core.scene.lights import Light
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
@@ -17,6 +19,7 @@ from ...core.strand.levels import StrandLevels
 from ...core.strand.preparation import with_levels
 from ...core.surface.appearance import digest, hiding
 from ..cache.keys import Key, Kind
+from ..cache.keys import digest as hashed
 from ..cache.store import Store
 
 MAX_COORDINATE = 1e18  # units from the origin: squares of distances must be in the range of float32
@@ -31,10 +34,12 @@ class CastingGeometry:
     matrices: np.ndarray  # (I, 4, 4) float64, world from object
     centre: np.ndarray  # (I, 3) float64, in world space, of balls that bound the instances
     radius: np.ndarray  # (I,) float64
+    scale: np.ndarray  # (I,) float64: by how much the instances are enlarged at most
 
     def take(self, which: np.ndarray) -> CastingGeometry:
         """Returns the same with some of the instances, (I,) bool."""
-        return CastingGeometry(self.geometry, self.matrices[which], self.centre[which], self.radius[which])
+        arrays = (one[which] for one in (self.matrices, self.centre, self.radius, self.scale))
+        return CastingGeometry(self.geometry, *arrays)
 
 
 def why_no_shadows(scene: Scene, settings: Settings) -> str:
@@ -61,14 +66,27 @@ def light_key(light: Light) -> tuple:
     return (*numbers, *(None if a is None else np.asarray(a, float).tobytes() for a in arrays))
 
 
-def transmission_digest(scene: Scene, geometry: Geometry) -> str:
-    """Returns a digest of the materials' properties that decide how much light a geometry transmits."""
-    return "" if geometry.mesh is None else digest(geometry.mesh, hiding(scene.materials))
+def transmission_digests(scene: Scene, casters: Sequence[CastingGeometry]) -> list[str]:
+    """Returns for each caster a digest of the materials' properties that decide how much light it transmits."""
+    hidden = hiding(scene.materials)
+    return ["" if c.geometry.mesh is None else digest(c.geometry.mesh, hidden) for c in casters]
+
+
+def caster_keys(scene: Scene, casters: Sequence[CastingGeometry]) -> list[tuple[str, str, bytes]]:
+    """Returns what tells casters' shadows apart: contents, what they transmit, and where instances are."""
+    return [
+        (caster.geometry.key, transmits, hashed(caster.matrices.tobytes()))
+        for caster, transmits in zip(casters, transmission_digests(scene, casters), strict=True)
+    ]
 
 
 def casting_geometries(scene: Scene, store: Store) -> list[CastingGeometry]:
     """Returns all geometries with instances that cast shadows, in scene order; empty geometries are left out."""
-    of_each, found = scene.instances.of_each(len(scene.geometries), _casting_instances(scene)), []
+    casting = _casting_instances(scene)
+    of_each, found = scene.instances.of_each(len(scene.geometries), casting), []
+    keep_bounding_boxes([one for one, where in zip(scene.geometries, of_each, strict=True) if len(where)], store)
+    # Of all at once: a scene may have as many geometries as instances. Those that cast are finite.
+    scale = largest_singular_value(np.where(casting[:, None, None], scene.instances.world_from_object[:, :3, :3], 0.0))
     for geometry, where in zip(scene.geometries, of_each, strict=True):
         bounds = (
             store.lookup(Key(Kind.CASTER_BALL, geometry.key), lambda g=geometry: _bounding_ball(g, store))
@@ -79,9 +97,7 @@ def casting_geometries(scene: Scene, store: Store) -> list[CastingGeometry]:
             continue
         matrices = scene.instances.world_from_object[where]
         centre = matrices[:, :3, :3] @ bounds[0] + matrices[:, :3, 3]
-        found.append(
-            CastingGeometry(geometry, matrices, centre, bounds[1] * largest_singular_value(matrices[:, :3, :3]))
-        )
+        found.append(CastingGeometry(geometry, matrices, centre, bounds[1] * scale[where], scale[where]))
     return found
 
 
@@ -92,6 +108,14 @@ def cached_bounding_box(geometry: Geometry, store: Store) -> tuple[np.ndarray, n
     low > high.
     """
     return store.lookup(Key(Kind.CASTER_BOX, geometry.key), lambda: _bounding_box(geometry, store))
+
+
+def keep_bounding_boxes(geometries: Sequence[Geometry], store: Store) -> None:
+    """Measures the boxes of all meshes among geometries, as `cached_bounding_box` does of one, at once."""
+    some = [(geometry.key, geometry.mesh) for geometry in geometries if geometry.mesh is not None]
+    some = [(key, mesh) for key, mesh in some if len(mesh.triangles)]
+    keys = [Key(Kind.CASTER_BOX, key) for key, _ in some]
+    store.lookup_all(keys, lambda rows: triangle_boxes([some[row][1] for row in rows]))
 
 
 def _bounding_box(geometry: Geometry, store: Store) -> tuple[np.ndarray, np.ndarray]:

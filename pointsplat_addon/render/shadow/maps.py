@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...core.numeric.linear import all_finite, largest_singular_value
+from ...core.numeric.linear import all_finite
 from ...core.numeric.record import record
 from ...core.scene.bounds import box_corners
 from ...core.scene.lights import Light
@@ -15,7 +15,7 @@ from ..cache.keys import Key, Kind
 from ..cache.keys import digest as hashed
 from ..cache.store import Store
 from ..prepare.separation import is_translucent
-from .casting import CastingGeometry, cached_bounding_box, light_key, transmission_digest
+from .casting import CastingGeometry, cached_bounding_box, caster_keys, light_key
 from .light_points import cell_points, grid_shifts, views_of_light
 from .map_views import CastingBoxes, LightViews, MapView, angular_reach, light_views, placed
 
@@ -157,8 +157,7 @@ def casts_as_strands(caster: CastingGeometry) -> bool:
     strands = caster.geometry.strands
     if strands is None or not len(strands.radius):
         return False
-    scale = np.maximum(largest_singular_value(caster.matrices[:, :3, :3]), 1e-30)
-    reach = float((caster.radius / scale).max(initial=0.0))  # in object space, as radii are
+    reach = float((caster.radius / np.maximum(caster.scale, 1e-30)).max(initial=0.0))  # in object space, as radii are
     if float(strands.radius.mean(dtype=np.float64)) > WIDEST_STRAND * reach:
         return False
     primitives = _primitives(caster.geometry)
@@ -187,9 +186,7 @@ def make_maps(
     chosen = [light if takes_map(light) else None for light in lights]
     if not casters or not any(chosen):
         return None
-    look = tuple(
-        (c.geometry.key, transmission_digest(scene, c.geometry), hashed(c.matrices.tobytes())) for c in casters
-    )
+    look = tuple(caster_keys(scene, casters))
     keys = tuple(None if light is None else light_key(light) for light in chosen)
     key = Key(Kind.SHADOW_MAPS, hashed((look, keys)), other=(resolution, texture_size))
 
@@ -229,16 +226,15 @@ def ball_around_strands(casters: Sequence[CastingGeometry], store: Store) -> np.
 
 def casting_boxes(casters: Sequence[CastingGeometry], store: Store) -> CastingBoxes:
     """Returns the boxes around all instances of casters, in the world, and how small their splats are."""
-    corners, radius = [], []
+    matrices = np.concatenate([caster.matrices for caster in casters])
+    boxes = np.array([cached_bounding_box(caster.geometry, store) for caster in casters])  # (C, 2, 3)
+    corners = np.repeat(box_corners(boxes[:, 0], boxes[:, 1]), [len(c.matrices) for c in casters], axis=0)
+    radius = []
     for caster in casters:
-        geometry = caster.geometry
-        low, high = cached_bounding_box(geometry, store)
-        linear = caster.matrices[:, :3, :3]
-        corners.append(np.einsum("iab,cb->ica", linear, box_corners(low, high)) + caster.matrices[:, None, :3, 3])
-        cloud = geometry.cloud
+        cloud = caster.geometry.cloud
         typical = np.inf
         if cloud is not None and cloud.radii is not None:
             typical = float(np.median(cloud.radii[:: max(1, len(cloud) // 4096), 0]))
-        scale = largest_singular_value(linear)
-        radius.append(typical * scale if np.isfinite(typical) else np.full(len(linear), np.inf))
-    return CastingBoxes(np.concatenate(corners), np.concatenate(radius))
+        radius.append(typical * caster.scale if np.isfinite(typical) else np.full(len(caster.scale), np.inf))
+    moved = np.einsum("iab,icb->ica", matrices[:, :3, :3], corners) + matrices[:, None, :3, 3]
+    return CastingBoxes(moved, np.concatenate(radius))

@@ -18,7 +18,7 @@ import numpy as np
 from ...core.numeric.record import record
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Geometry, Scene
-from ...core.surface.seen import Sketch, narrowest_pixel, seen_places, sketch_of_points, sketch_of_triangles
+from ...core.surface.seen import Sketch, narrowest_pixel, seen_places, sketch_of_points, sketches_of_meshes
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from .map_views import MARGIN, LightViews, MapView, Nested, arranged_blocks
@@ -75,22 +75,28 @@ class _Seen:
 
 
 def _sketches(scene: Scene, store: Store) -> list[tuple[Sketch, np.ndarray]]:
-    instances, found = scene.instances, []
-    for geometry, where in zip(scene.geometries, instances.of_each(len(scene.geometries)), strict=True):
-        here = instances.world_from_object[where]
-        sketch = store.lookup(Key(Kind.SKETCH, geometry.key), lambda geometry=geometry: _sketch(geometry))
-        if sketch is not None and len(here):
-            found.append((sketch, here))
-    return found
+    geometries, instances = scene.geometries, scene.instances
+    keys = [Key(Kind.SKETCH, geometry.key) for geometry in geometries]
+    sketches = store.lookup_all(keys, lambda rows: _made([geometries[row] for row in rows]))
+    of_each = instances.of_each(len(geometries))
+    return [
+        (sketch, instances.world_from_object[where])
+        for sketch, where in zip(sketches, of_each, strict=True)
+        if sketch is not None and len(where)
+    ]
 
 
-def _sketch(geometry: Geometry) -> Sketch | None:
-    mesh, cloud = geometry.mesh, geometry.cloud
-    if mesh is not None and len(mesh.triangles):
-        return sketch_of_triangles(mesh.position, mesh.triangles)
-    if cloud is not None and len(cloud):
-        return sketch_of_points(cloud.position + cloud.origin)
-    return None
+def _made(geometries: list[Geometry]) -> list[Sketch | None]:
+    meshes = [one.mesh for one in geometries if one.mesh is not None and len(one.mesh.triangles)]
+    of_meshes = iter(sketches_of_meshes(meshes))
+
+    def sketch(geometry: Geometry) -> Sketch | None:
+        if geometry.mesh is not None and len(geometry.mesh.triangles):
+            return next(of_meshes)
+        cloud = geometry.cloud
+        return None if cloud is None or not len(cloud) else sketch_of_points(cloud.position + cloud.origin)
+
+    return [sketch(geometry) for geometry in geometries]
 
 
 def _arranged(maps: ShadowMaps, lights: Sequence[LightViews | None], widest: int, texture_size: int) -> ShadowMaps:

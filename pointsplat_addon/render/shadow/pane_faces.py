@@ -19,7 +19,7 @@ from ...core.scene.scene import Scene
 from ..cache.keys import Key, Kind
 from ..cache.keys import digest as hashed
 from ..cache.store import Store
-from .casting import CastingGeometry, light_key, transmission_digest
+from .casting import CastingGeometry, caster_keys, light_key
 from .light_points import light_shape
 from .maps import takes_map
 from .panes import pane_shares
@@ -84,9 +84,7 @@ def make_faces(
     triangles = sum(len(c.geometry.mesh.triangles) * len(c.matrices) for c in casters if c.geometry.mesh is not None)
     if not 0 < triangles <= 2 * MOST_FACES or not any(chosen):
         return None
-    look = tuple(
-        (c.geometry.key, transmission_digest(scene, c.geometry), hashed(c.matrices.tobytes())) for c in casters
-    )
+    look = tuple(caster_keys(scene, casters))
     key = Key(Kind.PANE_FACES, hashed((look, tuple(None if light is None else light_key(light) for light in chosen))))
 
     def make() -> PaneFaces | None:

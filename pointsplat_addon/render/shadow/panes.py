@@ -23,7 +23,7 @@ from ..cache.keys import Key, Kind
 from ..cache.keys import digest as hashed
 from ..cache.store import Store
 from ..prepare.separation import is_translucent
-from .casting import CastingGeometry, light_key, transmission_digest
+from .casting import CastingGeometry, caster_keys, light_key
 from .light_points import light_shape
 from .map_views import LightViews, MapView, light_views, placed
 from .maps import ShadowMaps, casting_boxes, takes_map
@@ -107,9 +107,7 @@ def make_panes(
     triangles = sum(len(c.geometry.mesh.triangles) * len(c.matrices) for c in casters if c.geometry.mesh is not None)
     if not 0 < triangles <= MOST_TRIANGLES or not any(chosen):
         return None
-    look = tuple(
-        (c.geometry.key, transmission_digest(scene, c.geometry), hashed(c.matrices.tobytes())) for c in casters
-    )
+    look = tuple(caster_keys(scene, casters))
     keys = tuple(None if light is None else light_key(light) for light in chosen)
     channels = pane_shares(scene.materials).shape[1]
     textures = 1 + channels

@@ -26,7 +26,7 @@ from ..cache.keys import digest as hashed
 from ..cache.on_disk import NOWHERE, OnDisk, form_of_records
 from ..cache.store import Store
 from .batches import box_corner_casters, splat_batches, strand_segments
-from .casting import CastingGeometry, casting_geometries, light_key, transmission_digest, why_no_shadows
+from .casting import CastingGeometry, caster_keys, casting_geometries, light_key, why_no_shadows
 from .floors import is_lone_body, split_floors
 from .maps import ShadowMaps, casts_as_strands, casts_into_map, make_maps, takes_map
 from .packed_tables import PackedTables, pack
@@ -198,10 +198,7 @@ class _TableBuilder:
             ),
             lambda: sample_spacings(casters, tuple(lights), resolution, store, cast.floors),
         )
-        look = tuple(
-            (c.geometry.key, transmission_digest(scene, c.geometry), c.matrices.tobytes(), s)
-            for c, s in zip(casters, spacing, strict=True)
-        )
+        look = tuple((*key, length) for key, length in zip(caster_keys(scene, casters), spacing, strict=True))
         casters_key = Key(Kind.CASTERS, hashed(look), other=resolution)
         # Cells are as wide as if floors cast, so that shadows on a floor do not shift when the objects on it move.
         around = [box_corner_casters(c, store) for c, floor in zip(casters, cast.floors, strict=True) if floor]

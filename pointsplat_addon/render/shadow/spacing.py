@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.numeric.linear import largest_singular_value
 from ...core.scene.lights import Light
 from ...core.shadow.grid import NARROW_ANGLE, rotation_to
 from ...core.shadow.samples import surface_points
@@ -45,7 +44,7 @@ def sample_spacings(
                 for c, r in balls
             ]
             cell = np.minimum(cell, step * np.array(near))
-    scale = np.array([largest_singular_value(c.matrices[:, :3, :3]).max() for c in casters])
+    scale = np.array([c.scale.max() for c in casters])
     area = np.array([0.0 if floor else _total_area(c, store) for c, floor in zip(casters, floors, strict=True)])
     with np.errstate(divide="ignore", invalid="ignore"):
         spacing = CELLS_PER_SPACING * cell / scale

@@ -1,5 +1,5 @@
 // The material table: four texels a row. Layout: render/passes/shading/shade.py. PS_HAS_GLOW: some material emits light.
-// PS_COAT: some surface is coated. PS_BACKLIT: some is lit from behind. PS_TINTED, PS_ROUGH_DIFFUSE, PS_SHEEN, PS_TOON: some
+// PS_COAT: some surface is coated. PS_BACKLIT: some is lit from behind. PS_TINTED, PS_GLOSS, PS_ROUGH_DIFFUSE, PS_SHEEN, PS_TOON: some
 // has what lib/light/brdf.glsl says. PS_ONE_SURFACE: all are alike beyond their colours, which that file reads elsewhere.
 
 PsSurface ps_material(int row)
@@ -18,6 +18,9 @@ PsSurface ps_material(int row)
 #endif
 #ifdef PS_TINTED
   ps_tint = tint.rgb;
+#endif
+#ifdef PS_GLOSS
+  ps_gloss = texelFetch(ps_materials, ivec2(10, row), 0);
 #endif
 #ifdef PS_ROUGH_DIFFUSE
   ps_diffuse_roughness = tint.a;

@@ -1,6 +1,6 @@
 // The Principled BSDF without transmission and subsurface: GGX with multiple scattering over Lambert, and PS_COAT, a
 // clear layer above both. PS_BACKLIT: a share of the Lambert base is lit from the other side. PS_TINTED: the GGX lobe has a
-// tint. PS_ROUGH_DIFFUSE, PS_TOON: the base may be other than Lambert's. PS_SHEEN: fibres above all: diffuse_lobes.glsl.
+// tint. PS_GLOSS: its metallic share may have a colour other than the base's. PS_ROUGH_DIFFUSE, PS_TOON: the base may be other than Lambert's. PS_SHEEN: fibres above all: diffuse_lobes.glsl.
 // Reference and sources: core/light/bsdf.py. Reads ps_lights (rows 0 .. PS_TABLE_ROWS: the reflectance table).
 // PS_HAS_METAL: something is metallic. PS_ONE_SURFACE: nothing is, and roughness and eta are those of the whole scene.
 
@@ -16,6 +16,11 @@
 #define PS_DIELECTRIC vec3
 #else
 #define PS_DIELECTRIC float
+#endif
+#ifdef PS_GLOSS
+#define PS_METAL_GRAZING lobes.metal_grazing
+#else
+#define PS_METAL_GRAZING vec3(1.0)
 #endif
 
 #define PS_PI 3.14159265358979
@@ -50,6 +55,11 @@ PsCoat ps_coat;  // of the surface that ps_material read last
 #ifdef PS_TINTED
 vec3 ps_tint;  // of the surface that ps_material read last: what dielectrics reflect at normal incidence, and metals at 82 degrees
 #endif
+#ifdef PS_GLOSS
+// Of the surface that ps_material read last: what its metallic share reflects, negative where that is the base colour; and
+// whether it reflects alike at every angle, as the Glossy BSDF does.
+vec4 ps_gloss;
+#endif
 #ifdef PS_ROUGH_DIFFUSE
 float ps_diffuse_roughness;
 #endif
@@ -73,6 +83,9 @@ struct PsLobes {
   vec3 diffuse;
   vec3 reflectance;  // of uniform light, by the GGX lobe
   vec3 metal_f0;
+#ifdef PS_GLOSS
+  vec3 metal_grazing;
+#endif
   vec3 metal_scale;
   PS_DIELECTRIC dielectric_scale;
 #ifdef PS_TINTED
@@ -276,14 +289,19 @@ PsLobes ps_lobes(PsSurface surface, vec3 normal, vec3 plane, vec3 to_eye)
   lobes.diffuse = max(surface.base, 0.0) * (1.0 - min(ps_most(lobes.reflectance), 1.0));
 #ifdef PS_HAS_METAL
   float metallic = clamp(surface.metallic, 0.0, 1.0);
+#ifdef PS_GLOSS
+  lobes.metal_f0 = clamp(ps_gloss.x < 0.0 ? surface.base : ps_gloss.rgb, 0.0, 1.0);
+  lobes.metal_grazing = ps_gloss.w > 0.5 ? lobes.metal_f0 : vec3(1.0);
+#else
   lobes.metal_f0 = clamp(surface.base, 0.0, 1.0);
-  vec3 metal_mean = lobes.metal_f0 + (1.0 - lobes.metal_f0) / 21.0;
+#endif
+  vec3 metal_mean = lobes.metal_f0 + (PS_METAL_GRAZING - lobes.metal_f0) / 21.0;
 #ifdef PS_TINTED
   lobes.metal_dip = ps_metal_dip(lobes.metal_f0, ps_tint);
   metal_mean -= lobes.metal_dip / 126.0;
 #endif
   lobes.metal_scale = metallic * (1.0 + missing * metal_mean * table.w / (1.0 - metal_mean * (1.0 - table.w)));
-  vec3 metal_reflected = mix(lobes.metal_f0, vec3(1.0), table.y) * table.x;
+  vec3 metal_reflected = mix(lobes.metal_f0, PS_METAL_GRAZING, table.y) * table.x;
 #ifdef PS_TINTED
   float grazing = pow(table.y, 0.2);
   metal_reflected = max(metal_reflected - lobes.metal_dip * (1.0 - grazing) * table.y * grazing * table.x, 0.0);
@@ -364,6 +382,9 @@ PsLobes ps_coat_lobes(vec3 normal, vec3 plane, vec3 to_eye, float spread)
 #endif
 #ifdef PS_TINTED
   ps_tint = vec3(1.0);
+#endif
+#ifdef PS_GLOSS
+  ps_gloss = vec4(-1.0, -1.0, -1.0, 0.0);
 #endif
 #ifdef PS_TANGENT
   ps_grain = vec3(0.0);

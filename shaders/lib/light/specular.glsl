@@ -73,10 +73,10 @@ vec3 ps_fresnel(PsLobes lobes, float cos_between)
 #ifdef PS_HAS_METAL
   float x = 1.0 - cos_between, x2 = x * x;
 #ifdef PS_TINTED
-  vec3 of_metal = lobes.metal_f0 + (1.0 - lobes.metal_f0) * (x2 * x2 * x) - lobes.metal_dip * (cos_between * x2 * x2 * x2);
+  vec3 of_metal = lobes.metal_f0 + (PS_METAL_GRAZING - lobes.metal_f0) * (x2 * x2 * x) - lobes.metal_dip * (cos_between * x2 * x2 * x2);
   reflected += lobes.metal_scale * clamp(of_metal, 0.0, 1.0);
 #else
-  reflected += lobes.metal_scale * (lobes.metal_f0 + (1.0 - lobes.metal_f0) * (x2 * x2 * x));
+  reflected += lobes.metal_scale * (lobes.metal_f0 + (PS_METAL_GRAZING - lobes.metal_f0) * (x2 * x2 * x));
 #endif
 #endif
 #ifdef PS_LAYERED

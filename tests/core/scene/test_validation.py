@@ -3,6 +3,7 @@
 # pyright: reportOptionalSubscript=false, reportOptionalMemberAccess=false, reportArgumentType=false
 # pyright: reportCallIssue=false
 # Attributes may be None by type; what is tested here has those that are asked for.
+from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass, replace
 from types import NoneType
 from typing import Any, get_args, get_type_hints
@@ -298,11 +299,11 @@ def test_geometries_are_looked_at_once_by_their_content():
     kept: dict[str, Any] = {}
     made: list[str] = []
 
-    def lookup(key: str, make: Any) -> Any:
-        if key not in kept:
-            made.append(key)
-            kept[key] = make()
-        return kept[key]
+    def lookup(keys: Sequence[str], make: Callable[[list[int]], Sequence[Any]]) -> list[Any]:
+        rows = [row for row, key in enumerate(keys) if key not in kept]
+        made.extend(keys[row] for row in rows)
+        kept.update(zip([keys[row] for row in rows], make(rows), strict=True))
+        return [kept[key] for key in keys]
 
     given = whole()
     for _ in range(3):

@@ -14,18 +14,24 @@ from tests.reference import reflection
 moderngl = pytest.importorskip("moderngl")
 COUNT = 4096
 FRAGMENT = str(Path(__file__).resolve().parents[3] / "tests" / "support" / "shaders" / "reflection.frag")
+GLOSS, EVEN = np.array([0.3, 0.9, 0.6, 0.0]), np.array([-1.0, -1.0, -1.0, 1.0])
 TINT, SHEEN, TOON = np.array([0.2, 0.9, 0.5]), np.array([0.9, 0.5, 0.2, 0.4]), np.array([0.4, 0.3])
 LOOKS = {
     "plain": (),
     "tint": ("tint",),
+    "gloss": ("gloss",),
+    "gloss of the base colour": ("even",),
     "rough diffuse": ("diffuse_roughness",),
     "sheen": ("sheen",),
     "toon": ("toon",),
     "stretched": ("tangent",),
     "all but a toon": ("tint", "diffuse_roughness", "sheen", "tangent"),
 }
-VALUES = {"tint": TINT, "diffuse_roughness": 0.8, "sheen": SHEEN, "toon": TOON}
+VALUES = {"gloss": GLOSS, "even": EVEN, "tint": TINT, "diffuse_roughness": 0.8, "sheen": SHEEN, "toon": TOON}
+FIELDS = {"even": "gloss"}  # of Look
 DEFINES = {
+    "gloss": (("PS_GLOSS", "1"), ("GLOSS", "vec4(0.3, 0.9, 0.6, 0.0)")),
+    "even": (("PS_GLOSS", "1"), ("GLOSS", "vec4(-1.0, -1.0, -1.0, 1.0)")),
     "tint": (("PS_TINTED", "1"), ("TINT", "vec3(0.2, 0.9, 0.5)")),
     "diffuse_roughness": (("PS_ROUGH_DIFFUSE", "1"), ("DIFFUSE_ROUGHNESS", "0.8")),
     "sheen": (("PS_SHEEN", "1"), ("SHEEN", "vec4(0.9, 0.5, 0.2, 0.4)")),
@@ -58,7 +64,7 @@ def test_lobes_match_float64(device, name):
         roughness=rng.uniform(0.15, 1, COUNT).astype(np.float32).astype(float),
         metallic=rng.choice([0, 0.5, 1], COUNT),
         eta=bsdf.relative_index(rng.choice([1.0, 1.1, 1.5, 2.0], COUNT), np.full(COUNT, 0.5)),
-        **{part: grain if part == "tangent" else VALUES[part] for part in LOOKS[name]},
+        **{str(FIELDS.get(part, part)): grain if part == "tangent" else VALUES[part] for part in LOOKS[name]},
     )
     rows = np.zeros((5, COUNT, 4), np.float32)
     rows[0, :, :3], rows[1, :, :3], rows[4, :, :3] = normal, to_eye, grain

@@ -8,6 +8,9 @@ void main() {
 #ifdef PS_TINTED
   ps_tint = TINT;
 #endif
+#ifdef PS_GLOSS
+  ps_gloss = GLOSS;
+#endif
 #ifdef PS_ROUGH_DIFFUSE
   ps_diffuse_roughness = DIFFUSE_ROUGHNESS;
 #endif

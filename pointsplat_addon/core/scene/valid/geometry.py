@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from ...numeric.record import value_record
 from ...numeric.segments import offsets, owners
 from ...numeric.vectors import cross, dot, each_block
 from ..cloud import FARTHEST, LENGTHS, PointCloud
-from ..mesh import LARGEST, SMALLEST, Mesh, squared_edges, triangle_corners
+from ..mesh import LARGEST, SMALLEST, Joined, Mesh, joined, squared_edges, triangle_corners
 from ..strands import Strands
 
 MOST_STRAND_POINTS = 1 << 24  # of one geometry: float32 counts no farther
@@ -95,6 +96,23 @@ def valid_mesh(mesh: Mesh) -> tuple[Mesh, DroppedTriangles]:
         return mesh, dropped
     left = hashlib.blake2b(np.packbits(valid).tobytes(), digest_size=16).hexdigest()
     return replace(mesh.take(np.flatnonzero(valid)), topology=mesh.topology and f"{mesh.topology} {left}"), dropped
+
+
+def valid_meshes(meshes: Sequence[Mesh]) -> list[tuple[Mesh, DroppedTriangles]]:
+    """`valid_mesh` of each. Small meshes are looked at together, and each by itself where one of them has something to
+    change."""
+    whole = {row for some in joined(meshes) if _are_whole(some) for row in some.rows}
+    return [(mesh, DroppedTriangles()) if row in whole else valid_mesh(mesh) for row, mesh in enumerate(meshes)]
+
+
+def _are_whole(some: Joined) -> bool:
+    count = np.diff(some.first)
+    low, high = (np.repeat(ends, count)[:, None] for ends in (some.first_vertex[:-1], some.first_vertex[1:]))
+    if not ((some.triangles >= low) & (some.triangles < high)).all():
+        return False
+    if not (some.position.min() >= -LARGEST and some.position.max() <= LARGEST):
+        return False
+    return valid_triangles(Mesh("", "", some.position, some.triangles))[1].total == 0
 
 
 def valid_triangles(mesh: Mesh) -> tuple[np.ndarray, DroppedTriangles]:

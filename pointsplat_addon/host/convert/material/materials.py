@@ -19,6 +19,7 @@ from ....core.material.expression import Expression, constant, walk
 from ....core.material.graph import MaterialGraph
 from ....core.material.masks import is_mask
 from ....core.material.nodes import input_nodes
+from ....core.material.nodes.view_nodes import READ_EYE
 from ....core.numeric.cryptomatte import cryptomatte_hash
 from ....core.numeric.record import record
 from ....core.scene.materials import CoatTable, HairTable, MaterialTable, default_materials
@@ -39,6 +40,9 @@ VARYING_DEFAULTS = {  # the table's constant of a channel that varies
     "emission": (0.0, 0.0, 0.0),
     "transmission_color": (1.0, 1.0, 1.0),
 }
+
+
+NO_GLOSS = (-1.0, -1.0, -1.0, 0.0)
 
 
 @record
@@ -69,6 +73,7 @@ class MaterialRow:
     coat: Coat | None = None
     backlit: tuple[float, ...] = (0.0, 0.0, 0.0)
     tint: tuple[float, ...] = (1.0, 1.0, 1.0)
+    gloss: tuple[float, ...] = NO_GLOSS  # MaterialTable.gloss
     diffuse_roughness: float = 0.0
     sheen: tuple[float, ...] = (0.0, 0.0, 0.0, 0.5)  # colour times weight, roughness
     toon: tuple[float, ...] | None = None  # size and smoothness
@@ -82,7 +87,7 @@ class MaterialRow:
         volume = None if self.medium is None else [np.asarray(v).tolist() for v in vars(self.medium).values()]
         light = self.translucent, self.glass, self.transmission_color
         shown = sorted(self.constants.items()), varying, self.cull, light, volume, self.hair, self.coat, self.backlit
-        more = self.tint, self.diffuse_roughness, self.sheen, self.toon, self.holdout
+        more = self.tint, self.gloss, self.diffuse_roughness, self.sheen, self.toon, self.holdout
         text = repr((*shown, *more, self.pass_index, self.name))
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
@@ -123,12 +128,17 @@ def convert_materials(
         coat=_coat_columns(rows),
         backlit=_backlit_column(rows),
         tint=_column_unless(1, [row.tint for row in rows]),
+        gloss=_gloss_column(rows),
         diffuse_roughness=_column_or_none(np.float32, [row.diffuse_roughness for row in rows]),
         sheen=np.array([row.sheen for row in rows], np.float32) if any(any(row.sheen[:3]) for row in rows) else None,
         toon=_column_unless(-1, [row.toon or (-1.0, -1.0) for row in rows]),
         holdout=_column_or_none(np.float32, [row.holdout for row in rows]),
     )
     return converted, [warning for row in rows for warning in row.warnings]
+
+
+def _gloss_column(rows: list[MaterialRow]) -> np.ndarray | None:
+    return None if all(row.gloss == NO_GLOSS for row in rows) else np.array([row.gloss for row in rows], np.float32)
 
 
 def _hair_columns(rows: list[MaterialRow]) -> HairTable | None:
@@ -201,10 +211,11 @@ def convert_material(material: bpy.types.Material, placement: FindPlacement = no
     translucent = _is_translucent(surface)
     if not translucent:
         surface = replace(surface, transmission_color=WHITE)
-    elif any(isinstance(node, input_nodes.Backfacing) for node in walk(surface.alpha, surface.transmission_color)):
-        tree.warnings.append(
-            f'Material "{material.name}": lights with a size cast its shadows as though all saw the front of it'
-        )
+    else:
+        kinds = {type(node) for node in walk(surface.alpha, surface.transmission_color)}
+        if kinds & {input_nodes.Backfacing, *READ_EYE}:
+            seen = "all saw the front of it" if input_nodes.Backfacing in kinds else "it were seen from all sides"
+            tree.warnings.append(f'Material "{material.name}": lights with a size cast its shadows as though {seen}')
     constants, graph = _split_constants(surface, tree)
     passes = constants.pop("transmission_color")
     return MaterialRow(
@@ -235,7 +246,8 @@ def _is_translucent(surface: Surface) -> bool:
     value = constant(surface.alpha)
     if value is not None:
         return bool(value[0] < 1 - 1e-6)
-    if any(isinstance(node, input_nodes.ObjectValue | input_nodes.Backfacing) for node in walk(surface.alpha)):
+    depends = input_nodes.ObjectValue, input_nodes.Backfacing, *READ_EYE
+    if any(isinstance(node, depends) for node in walk(surface.alpha)):
         return True  # meshes that several objects show are cut out alike, and seen from either side
     return not is_mask(surface.alpha) or not is_constant(surface.transmission_color, 1)
 
@@ -353,6 +365,8 @@ def _reflection(surface: Surface, tree: TreeReader) -> dict[str, Any]:
     found: dict[str, Any] = {}
     if (tint := known("tint", "specular tint")) is not None:
         found["tint"] = tuple(np.broadcast_to(tint, 3).tolist())
+    if (gloss := constant(surface.gloss)) is not None:
+        found["gloss"] = tuple(gloss.tolist())
     if (rough := known("diffuse_roughness", "diffuse roughness")) is not None:
         found["diffuse_roughness"] = min(rough[0], 1.0)
     if not is_constant(surface.sheen, 0):

@@ -20,6 +20,7 @@ ZERO, ONE = input_nodes.Constant((0.0,)), input_nodes.Constant((1.0,))
 GLASS_IOR = input_nodes.Constant((1.5,))  # Principled's default index of refraction
 COAT_ROUGHNESS = input_nodes.Constant((0.03,))  # Principled's default
 SHEEN_ROUGHNESS = input_nodes.Constant((0.5,))  # Principled's default
+NO_GLOSS = input_nodes.Constant((-1.0, -1.0, -1.0, 0.0))
 NO_TOON = input_nodes.Constant((0.0, 0.0, 0.0))
 WHITE = input_nodes.Constant((1.0, 1.0, 1.0))
 GRAY = 1e-6  # difference of the channels of what counts as a grey
@@ -47,6 +48,7 @@ class Surface:
     tangent: Expression = BLACK  # of stretched reflections; BLACK: they are round
     # All that follows is constant
     tint: Expression = WHITE  # of the specular reflection: core.scene.materials.MaterialTable.tint
+    gloss: Expression = NO_GLOSS  # of the metallic share: core.scene.materials.MaterialTable.gloss
     diffuse_roughness: Expression = ZERO
     sheen: Expression = BLACK  # colour times weight
     sheen_roughness: Expression = SHEEN_ROUGHNESS
@@ -88,7 +90,7 @@ def thin_glass(tint: Expression, like: Surface, *, reflects: bool = True) -> Sur
         return glass
     # What absorbs has a specular reflection of its own
     fresnel = input_nodes.Constant((float((index[0] - 1) / (index[0] + 1)) ** 2,))
-    mirror = replace(like, base_color=WHITE, metallic=ONE, emission=BLACK, tint=WHITE)
+    mirror = replace(like, base_color=WHITE, metallic=ONE, emission=BLACK, tint=WHITE, gloss=NO_GLOSS)
     return mix_surfaces(glass, mirror, multiply(fresnel, transmitted))
 
 
@@ -106,12 +108,47 @@ def mix_surfaces(a: Surface, b: Surface, factor: Expression) -> Surface:
     t = factor if both_opaque else math_nodes.Math(b_weight, alpha, ZERO, "DIVIDE")
     if not (is_constant(a.holdout, 0) and is_constant(b.holdout, 0)):
         return _mixed_holdout(a, b, first, factor)
-    a, b = _with_unseen_of(a, b), _with_unseen_of(b, a)
+    even = constant(t) is not None
+    a, b = _with_unseen_of(a, b, even), _with_unseen_of(b, a, even)
     backlit = _mixed_backlit(t, a, b)
-    mixed = {f.name: _mix_unless_equal(t, getattr(a, f.name), getattr(b, f.name)) for f in fields(Surface)}
-    return Surface(
-        **{**mixed, "backlit": backlit, "alpha": ONE if both_opaque else alpha, "transmission_color": passes}
-    )
+    names = [f.name for f in fields(Surface) if f.name not in ("base_color", "gloss")]
+    mixed = {name: _mix_unless_equal(t, getattr(a, name), getattr(b, name)) for name in names}
+    mixed |= {"backlit": backlit, "alpha": ONE if both_opaque else alpha, "transmission_color": passes}
+    return Surface(**mixed, **_mixed_colors(t, a, b))
+
+
+def _mixed_colors(t: Expression, a: Surface, b: Surface) -> dict[str, Expression]:
+    """`base_color` and `gloss` of (1 - t) a + t b. Each share keeps a colour of its own where all is constant, or where
+    one of both is all metal of a constant colour and the other has none; else the shares have one."""
+    (color_a, even_a), (color_b, even_b) = _gloss(a), _gloss(b)
+    for dull, metal, color, even in ((a, b, color_b, even_b), (b, a, color_a, even_a)):
+        if is_constant(dull.metallic, 0) and is_constant(metal.metallic, 1) and color is not None:
+            return {"base_color": dull.base_color, "gloss": input_nodes.Constant((*color.tolist(), even))}
+    known = [constant(value) for value in (t, a.metallic, b.metallic, a.base_color, b.base_color)]
+    dull = is_constant(a.metallic, 0) and is_constant(b.metallic, 0)
+    if dull or color_a is None or color_b is None or any(value is None for value in known):
+        alike = input_nodes.Constant((-1.0, -1.0, -1.0, max(even_a, even_b)))
+        return {"base_color": _mix_unless_equal(t, a.base_color, b.base_color), "gloss": alike}
+    share, metal_a, metal_b, first, second = (np.asarray(value, float)[:3] for value in known)
+    shares = (1 - share) * metal_a, share * metal_b
+    metallic = shares[0] + shares[1]
+    gloss = shares[0] * color_a + shares[1] * color_b
+    base = (1 - share - shares[0]) * first + (share - shares[1]) * second
+    gloss = np.divide(gloss, metallic, np.zeros(3), where=metallic > 0)
+    base = np.divide(base, 1 - metallic, np.zeros(3), where=metallic < 1)
+    return {
+        "base_color": input_nodes.Constant(tuple(base.tolist())),
+        "gloss": input_nodes.Constant((*gloss.tolist(), max(even_a, even_b))),
+    }
+
+
+def _gloss(surface: Surface) -> tuple[np.ndarray | None, float]:
+    """The colour (3,) of a surface's metallic share, None if it varies, and 1 if it is alike at every angle."""
+    *color, even = np.asarray(constant(surface.gloss), float).tolist()
+    if color[0] >= 0:
+        return np.array(color), even
+    base = constant(surface.base_color)
+    return None if base is None else np.clip(np.broadcast_to(np.asarray(base, float)[:3], 3), 0, 1), even
 
 
 def _mixed_backlit(t: Expression, a: Surface, b: Surface) -> Expression:
@@ -141,8 +178,11 @@ def _mixed_holdout(a: Surface, b: Surface, first: Expression, factor: Expression
     return replace(mix_surfaces(replace(a, holdout=ZERO), replace(b, holdout=ZERO), share), holdout=cut)
 
 
-def _with_unseen_of(surface: Surface, other: Surface) -> Surface:
-    """A surface that has the other's parameters where none of it shows its own, so that mixtures do not mix them."""
+def _with_unseen_of(surface: Surface, other: Surface, even: bool) -> Surface:
+    """A surface that has the other's parameters where none of it shows its own, so that mixtures do not mix them.
+
+    `even`: the mixture is the same everywhere. Where it is not, a dielectric's reflection fades by its roughness alone.
+    """
     unseen: list[str] = []
     metal, dark = is_constant(surface.metallic, 1), is_constant(surface.base_color, 0)
     if is_constant(surface.coat, 0):
@@ -152,9 +192,8 @@ def _with_unseen_of(surface: Surface, other: Surface) -> Surface:
     if metal:
         unseen += ["ior", "specular"]
     elif is_constant(surface.metallic, 0) and is_constant(surface.specular, 0):
-        unseen += ["tint"]
-    if dark and is_constant(surface.metallic, 0) and is_constant(surface.specular, 0):
-        unseen += ["tangent"]
+        unseen += ["tint", "tangent"]
+        unseen += ["roughness"] if even or is_constant(other.metallic, 1) else []
     if metal or dark:
         unseen += ["diffuse_roughness", "toon"]
     return replace(surface, **{name: getattr(other, name) for name in unseen})

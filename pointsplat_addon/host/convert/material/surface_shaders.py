@@ -174,9 +174,13 @@ def _holdout(node: NodeReader) -> Surface:
 
 
 def _glossy(node: NodeReader) -> Surface:
-    tangent = _glossy_tangent(node)
     return Surface(
-        base_color=node["Color"], roughness=node["Roughness"], metallic=ONE, tangent=tangent, normal=node["Normal"]
+        base_color=node["Color"],
+        roughness=node["Roughness"],
+        metallic=ONE,
+        tangent=_glossy_tangent(node),
+        normal=node["Normal"],
+        gloss=input_nodes.Constant((-1.0, -1.0, -1.0, 1.0)),  # without Fresnel's rise
     )
 
 

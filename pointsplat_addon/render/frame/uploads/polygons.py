@@ -74,15 +74,13 @@ class PolygonUploads:
 
     def _add_pages(self, rows: np.ndarray, pages: list[list[Geometry]]) -> np.ndarray:
         """Adds those pages that geometries are on that polygons show, by their `rows`; returns the other rows."""
-        keys = [geometry.key for geometry in self._scene.geometries]
-        for members in pages:
-            place = {geometry.key: number for number, geometry in enumerate(members)}
-            member = np.array([place.get(key, -1) for key in keys])
-            on_page = member[rows] >= 0
-            if on_page.any():
-                self.pages.append(PageInScene(self._page(members, member), member))
-                rows = rows[~on_page]
-        return rows
+        place = {one.key: (page, number) for page, members in enumerate(pages) for number, one in enumerate(members)}
+        page_of, number = np.array([place.get(one.key, (-1, -1)) for one in self._scene.geometries]).reshape(-1, 2).T
+        for page in np.unique(page_of[rows]).tolist():
+            if page >= 0:
+                member = np.where(page_of == page, number, -1)
+                self.pages.append(PageInScene(self._page(pages[page], member), member))
+        return rows[page_of[rows] < 0]
 
     def _page(self, members: list[Geometry], member: np.ndarray) -> PolygonPage:
         scene, plan = self._scene, self._plan

@@ -30,7 +30,7 @@ WHOLE: Rectangle = (0.0, 0.0, 1.0, 1.0)
 # What lib/visibility/listed.glsl reads where pixels take the place of a list.
 CORNER_FIELDS: Fields = (("ivec2", "corner"),)
 LIST_SAMPLER = ("FLOAT_2D", "ps_list")
-SORTED_FROM = 1 << 22  # texels that draws would look at for nothing
+SORTED_FROM = 1 << 20  # texels that draws would look at for nothing
 
 
 def group_program(lattice: Lattice) -> Interface:

@@ -1,11 +1,11 @@
-"""The material table on the device: four texels for each material, and up to ten where something has
+"""The material table on the device: four texels for each material, and up to eleven where something has
 more than the first columns hold.
 
 They hold: base colour, alpha; emission, anisotropy; 1 where back faces are culled, roughness, metallic, the index of
 refraction that stands for IOR and specular level; further parameters of hair (core.light.hair.hair_texels); of the coat
 weight, roughness and index of refraction; its tint; the share of diffuse light that comes from behind; the tint of
 reflections, diffuse roughness; colour and roughness of sheen; size and smoothness of toon shading, whether it is, and
-the share that is cut out.
+the share that is cut out; the colour of gloss, and whether it is alike at every angle.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ LEAST_SPREAD = 0.99  # of |g|: lobes narrower than this would alias between spla
 
 
 def material_rows(table: MaterialTable, escape: np.ndarray) -> np.ndarray:
-    """Returns the material table, (M, 4 .. 10, 4) float32: one row of texels a material. escape: (M,), of hair."""
+    """Returns the material table, (M, 4 .. 11, 4) float32: one row of texels a material. escape: (M,), of hair."""
     further = {6: table.coat, 7: table.backlit, 8: _either(table.tint, table.diffuse_roughness), 9: table.sheen}
-    further[10] = _either(table.toon, table.holdout)
+    further |= {10: _either(table.toon, table.holdout), 11: table.gloss}
     texels = max([4, *(count for count, column in further.items() if column is not None)])
     rows = np.zeros((len(table), texels, 4), np.float32)
     rows[:, 0, :3], rows[:, 0, 3] = table.base_color, table.alpha
@@ -51,6 +51,8 @@ def material_rows(table: MaterialTable, escape: np.ndarray) -> np.ndarray:
         rows[:, 9, 2] = table.toon[:, 0] >= 0
     if table.holdout is not None:
         rows[:, 9, 3] = table.holdout
+    if table.gloss is not None:
+        rows[:, 10] = table.gloss
     return rows
 
 

@@ -6,7 +6,7 @@ mesh that deforms keeps them and does not shimmer.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import field
 from typing import Any
 
@@ -16,7 +16,7 @@ from ....core.lod.foliage import is_foliage
 from ....core.lod.instances import visible_instances
 from ....core.numeric.linear import largest_singular_value
 from ....core.numeric.record import record
-from ....core.scene.bounds import mesh_centre, triangles_ball
+from ....core.scene.bounds import mesh_centre, triangles_ball, triangles_balls
 from ....core.scene.cloud import PointCloud
 from ....core.scene.mesh import Mesh
 from ....core.scene.scene import Geometry
@@ -103,6 +103,13 @@ def mesh_ball(mesh: Mesh, store: Store) -> tuple[np.ndarray, float]:
     if len(mesh.triangles) == 0:
         return np.zeros(3), 0.0
     return store.lookup(Key(Kind.BOUNDING_BALL, mesh.key), lambda: triangles_ball(mesh))
+
+
+def keep_mesh_balls(meshes: Sequence[Mesh], store: Store) -> None:
+    """Measures the balls of all meshes, as `mesh_ball` does of one, at once."""
+    some = [mesh for mesh in meshes if len(mesh.triangles)]
+    keys = [Key(Kind.BOUNDING_BALL, mesh.key) for mesh in some]
+    store.lookup_all(keys, lambda rows: triangles_balls([some[row] for row in rows]))
 
 
 def _typical_edge(mesh: Mesh) -> float:

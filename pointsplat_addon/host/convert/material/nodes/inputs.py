@@ -7,7 +7,7 @@ from .....core.material.hair_color import strand_attribute
 from .....core.material.nodes import color_nodes, input_nodes, projection_nodes, texture_nodes
 from ..images import convert_image
 from .tree import NodeConverter, NodeReader, Outputs, UnsupportedNodeError
-from .world_space import in_space_of, object_attribute
+from .world_space import in_space_of, object_attribute, seen_at
 
 
 def _uv_map(node: NodeReader) -> Outputs:
@@ -41,6 +41,7 @@ def _texture_coordinates(node: NodeReader) -> Outputs:
         "Generated": input_nodes.Coordinates("generated"),
         "Normal": input_nodes.Coordinates("normal"),
         "UV": input_nodes.UV(),
+        **seen_at(node),
     }
     other = node.node.object
     out["Object"] = (

@@ -1,13 +1,15 @@
-"""Nodes that read world space or the object."""
+"""Nodes that read world space, the object or the camera."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from .....core.material.expression import Expression
-from .....core.material.nodes import color_nodes, input_nodes, world_nodes
+from .....core.material.nodes import color_nodes, input_nodes, math_nodes, view_nodes, world_nodes
 from .....core.material.object_values import SPACE, attribute_value
 from .tree import NodeConverter, NodeReader, Outputs
+
+ZERO = input_nodes.Constant((0.0,))
 
 
 def _matrix(node: NodeReader) -> Expression:
@@ -20,19 +22,69 @@ def _matrix(node: NodeReader) -> Expression:
 
 def _geometry(node: NodeReader) -> Outputs:
     """Position and Normal in world space, and which side is seen; other outputs cannot be evaluated."""
-    matrix = _matrix(node)
-    position, normal = (input_nodes.Coordinates(kind) for kind in ("position", "normal"))
+    position = world_position(node)
     return {
-        "Position": world_nodes.Transformed(position, matrix),
-        "Normal": world_nodes.Transformed(normal, matrix, normal=True),
+        "Position": position,
+        "Normal": _world_normal(node, input_nodes.Coordinates("normal")),
+        "Incoming": view_nodes.Incoming(position),
         "Backfacing": input_nodes.Backfacing(),
+    }
+
+
+def world_position(node: NodeReader) -> Expression:
+    """Where the surface lies in world space."""
+    return world_nodes.Transformed(input_nodes.Coordinates("position"), _matrix(node))
+
+
+def _world_normal(node: NodeReader, normal: Expression) -> Expression:
+    return world_nodes.Transformed(normal, _matrix(node), normal=True)
+
+
+def seen_at(node: NodeReader) -> dict[str, Expression]:
+    """Coordinates by the camera: Texture Coordinate's outputs of these names."""
+    position, normal = world_position(node), _world_normal(node, input_nodes.Coordinates("normal"))
+    return {
+        "Camera": view_nodes.InView(position),
+        "Window": view_nodes.InWindow(position),
+        "Reflection": view_nodes.Reflected(view_nodes.Incoming(position), normal),
+    }
+
+
+def _camera_data(node: NodeReader) -> Outputs:
+    at = view_nodes.InView(world_position(node))
+    return {
+        "View Vector": math_nodes.VectorMath(at, at, at, ZERO, "NORMALIZE"),
+        "View Z Depth": color_nodes.Component(at, 2),
+        "View Distance": math_nodes.VectorMath(at, at, at, ZERO, "LENGTH"),
+    }
+
+
+def _cosine(node: NodeReader) -> Expression:
+    """Of the angle to the eye. Normals that are linked are in object space, as of bumps, or those of Geometry."""
+    normal = node["Normal"] if node.linked("Normal") else input_nodes.Coordinates("normal")
+    if not isinstance(normal, world_nodes.Transformed):
+        normal = _world_normal(node, normal)
+    return view_nodes.Cosine(view_nodes.Incoming(world_position(node)), normal)
+
+
+def _fresnel(node: NodeReader) -> Outputs:
+    return {"Fac": view_nodes.Reflectance(_cosine(node), node["IOR"], input_nodes.Backfacing())}
+
+
+def _layer_weight(node: NodeReader) -> Outputs:
+    cosine, blend = _cosine(node), node["Blend"]
+    one, least = (input_nodes.Constant((value,)) for value in (1.0, view_nodes.LEAST_INDEX))
+    left = math_nodes.Math(math_nodes.Math(one, blend, ZERO, "SUBTRACT"), least, ZERO, "MAXIMUM")
+    index = math_nodes.Math(one, left, ZERO, "DIVIDE")
+    return {
+        "Fresnel": view_nodes.Reflectance(cosine, index, input_nodes.Backfacing()),
+        "Facing": view_nodes.Facing(cosine, blend),
     }
 
 
 def in_space_of(node: NodeReader, number: int) -> Expression:
     """The position in the space of an object with this session_uid."""
-    position = world_nodes.Transformed(input_nodes.Coordinates("position"), _matrix(node))
-    return world_nodes.Transformed(position, input_nodes.ObjectValue(f"{SPACE}{number}"))
+    return world_nodes.Transformed(world_position(node), input_nodes.ObjectValue(f"{SPACE}{number}"))
 
 
 def object_attribute(node: NodeReader) -> Outputs:
@@ -73,4 +125,10 @@ def _object_info(node: NodeReader) -> Outputs:
     }
 
 
-WORLD_SPACE: dict[str, NodeConverter] = {"ShaderNodeNewGeometry": _geometry, "ShaderNodeObjectInfo": _object_info}
+WORLD_SPACE: dict[str, NodeConverter] = {
+    "ShaderNodeNewGeometry": _geometry,
+    "ShaderNodeObjectInfo": _object_info,
+    "ShaderNodeCameraData": _camera_data,
+    "ShaderNodeFresnel": _fresnel,
+    "ShaderNodeLayerWeight": _layer_weight,
+}
