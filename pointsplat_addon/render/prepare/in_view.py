@@ -73,8 +73,7 @@ def polygon_balls(scene: Scene, prepared: Prepared, store: Store) -> Iterator[Ba
 
 
 def _joined(balls: Iterable[Ball]) -> Iterator[Balls]:
-    """Yields the same balls in blocks: a scene may have thousands of geometries of one instance each, or a million instances
-    of one."""
+    """Yields the same balls in blocks: scenes may have thousands of geometries of one instance, or one of a million."""
     parts: list[Ball] = []
     gathered = 0
 
