@@ -37,7 +37,8 @@ NARROW = (1.5, 4.0)  # angular radius of a light over the lobe's width, between 
 AREA_NARROW = (1.0, 2.5)  # of area lights
 BEYOND = 1.0  # widths of the lobe beyond the light, from where on half vectors are integrated
 MOST_OF_LOBE = 1.25  # of what a lobe reflects at the mirrored ray, what it reflects in all
-WIDER_SUM = 0.4  # of a GGX lobe's slopes and a Gaussian's, drawn as a mixture of both
+WIDER_SUM = 1.1  # of a GGX lobe's slopes and a Gaussian's, drawn as a mixture of both
+TURNED_BY = 10.0  # of alpha squared: the less of wide lobes
 HALF_SIDES = 12  # of the polygon that stands for an ellipse among half vectors
 # A quadrature of degree 5 over the unit disk: cosine and sine of the azimuth, radius, weight.
 DISK = (
@@ -140,7 +141,7 @@ class _Material:
         self.alpha = np.maximum(np.clip(surface.roughness, 0, 1) ** 2, MIN_ALPHA)
         self.widened = np.minimum(surface.spread, 1 - self.alpha**2)
         own2, both2 = self.alpha**2, self.alpha**2 + self.widened
-        self.alpha = np.minimum(np.sqrt(both2 + WIDER_SUM * own2 * self.widened / both2), 1)
+        self.alpha = np.minimum(np.sqrt(both2 + WIDER_SUM * np.maximum(1 - TURNED_BY * own2, 0) * own2 * self.widened / both2), 1)
         self.cos_eye = np.clip(_dot(normal, to_eye), 1e-4, 1)
         metallic = np.clip(surface.metallic, 0, 1)[:, None]
         self.metal_f0 = np.clip(surface.base, 0, 1)
