@@ -9,7 +9,7 @@ import pointsplat_addon
 from tests.support.blender.scenes import mesh_object, new_material, node, picture
 
 SIDE = 32  # texels along a side of a picture
-REPEATS = 64.0  # of pictures along a side that are finer than pixels
+REPEATS = 24.0  # of pictures along a side that are finer than pixels
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +75,7 @@ def normal_map(tree, strength=1.0):
     return node(tree, "ShaderNodeNormalMap", {"Strength": strength, "Color": color})
 
 
-def hills(repeats: float = 1.0) -> np.ndarray:
+def hills() -> np.ndarray:
     """Heights (SIDE, SIDE) without any order, smooth over two texels, with a slope of 0.2 (RMS) a texel in each direction."""
     waves = np.fft.fft2(np.random.default_rng(5).normal(size=(SIDE, SIDE)))
     frequency = np.fft.fftfreq(SIDE)
@@ -157,7 +157,7 @@ def test_bent_normals_are_lit_as_in_cycles(scene, tmp_path, case):
 @pytest.mark.parametrize(("roughness", "metallic"), [(0.15, 1.0), (0.3, 1.0), (0.3, 0.0)])
 @pytest.mark.parametrize("bend", [hilly_map, hilly_bump])
 def test_pictures_finer_than_pixels_shine_as_in_cycles(scene, tmp_path, bend, roughness, metallic):
-    """Five texels a pixel, of normals or heights without any order: energy, and the deviation from 1,024 samples."""
+    """Some 15 texels a pixel, of normals or heights without any order: energy, and the deviation from 1,024 samples."""
     thing, material = plane(repeats=REPEATS), new_material()
     inputs = {"Base Color": (0.8, 0.8, 0.8, 1), "Roughness": roughness, "Metallic": metallic}
     inputs["Normal"] = bend(material.node_tree).outputs[0]
@@ -180,4 +180,10 @@ def test_pictures_finer_than_pixels_shine_as_in_cycles(scene, tmp_path, bend, ro
     for samples, ours in drawn.items():
         light, known = (p[inside][:, :3].mean(axis=1, dtype=float) for p in (ours, truth))
         energy, off = light.mean() / known.mean(), np.sqrt(np.square(light - known).mean()) / known.mean()
-        print(bend.__name__, roughness, metallic, samples, f"{energy:.4f} {off:.4f} {known.std()/known.mean():.3f}")
+        assert abs(energy - 1) < WORST[metallic][0], f"{energy:.4f}"
+        assert off < WORST[metallic][1] * (2.4 if roughness < 0.2 else 1.0), f"{off:.4f}"
+
+
+# By metallic, energy and RMSE. Measured of metal, maps: 1.075 to 1.090; bumps, which Cycles flattens where a tenth of a pixel
+# is longer than a texel: 0.900 to 0.903; RMSE 0.142 and, of a roughness of 0.15, 0.311. Of dull ones 0.983 to 1.014, 0.022.
+WORST = {1.0: (0.11, 0.15), 0.0: (0.02, 0.025)}

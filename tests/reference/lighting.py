@@ -141,7 +141,9 @@ class _Material:
         self.alpha = np.maximum(np.clip(surface.roughness, 0, 1) ** 2, MIN_ALPHA)
         self.widened = np.minimum(surface.spread, 1 - self.alpha**2)
         own2, both2 = self.alpha**2, self.alpha**2 + self.widened
-        self.alpha = np.minimum(np.sqrt(both2 + WIDER_SUM * np.maximum(1 - TURNED_BY * own2, 0) * own2 * self.widened / both2), 1)
+        self.alpha = np.minimum(
+            np.sqrt(both2 + WIDER_SUM * np.maximum(1 - TURNED_BY * own2, 0) * own2 * self.widened / both2), 1
+        )
         self.cos_eye = np.clip(_dot(normal, to_eye), 1e-4, 1)
         metallic = np.clip(surface.metallic, 0, 1)[:, None]
         self.metal_f0 = np.clip(surface.base, 0, 1)
@@ -227,9 +229,7 @@ class _Material:
 
 def _visibility(cos_light: np.ndarray, cos_eye: np.ndarray, own: np.ndarray) -> np.ndarray:
     """Smith's height-correlated masking (N,) over 4 n.l n.v (Heitz 2014, equation 99); own: alpha squared."""
-    return 0.5 / (
-        cos_light * np.sqrt(own + (1 - own) * cos_eye**2) + cos_eye * np.sqrt(own + (1 - own) * cos_light**2)
-    )
+    return 0.5 / (cos_light * np.sqrt(own + (1 - own) * cos_eye**2) + cos_eye * np.sqrt(own + (1 - own) * cos_light**2))
 
 
 def _shade_light(position: np.ndarray, normal: np.ndarray, material: _Material, light: Light) -> np.ndarray:

@@ -149,9 +149,7 @@ def waved_picture(kind: str, repeats: float) -> MaterialGraph:
 def test_pictures_of_waves_far_away_shine_as_their_slopes_do(kind, look, samples):
     """Pictures of 64 texels that repeat 1.7 times a pixel: two cells or more to each texel of a level, none to a wave."""
     repeats = 1.7 * SIDE
-    found = drawn(
-        board(repeats), *LOOKS[look], 1.0, SUNS[-2], graph=waved_picture(kind, repeats), samples=samples
-    )
+    found = drawn(board(repeats), *LOOKS[look], 1.0, SUNS[-2], graph=waved_picture(kind, repeats), samples=samples)
     truth = radiance(of_waves(0.25), *LOOKS[look], SUNS[-2]).mean()
     inner = found[4:-4, 4:-4]
     assert abs(inner.mean() / truth - 1) < WORST_OF_PICTURES[look], f"{inner.mean() / truth:.4f}"
