@@ -42,3 +42,18 @@ def filter_weights(lattice: Lattice, offset: tuple[float, float], size: float) -
     at = lattice.positions[None] + np.stack([x, y], axis=1)[:, None] + np.asarray(offset)
     weights = blackman_harris(at[..., 0], size) * blackman_harris(at[..., 1], size)
     return weights / weights.sum()
+
+
+def moved_share(lattice: Lattice, size: float) -> float:
+    """Returns the share of a neighbour's weight that a pixel takes instead where both hold means over their sub-samples.
+
+    Such a mean is a box as wide as a pixel: with the weights of sub-samples, values are blurred by it twice, once since
+    they are the mean, once since they are taken to lie at its middle. With this share moved, the variance of what a
+    pixel takes is that of the filter, or of a box, where that is wider.
+    """
+    weights, reach = filter_weights(lattice, (0.0, 0.0), size), filter_reach(size)
+    x = np.tile(np.arange(-reach, reach + 1), 2 * reach + 1)
+    box = np.square(lattice.positions[:, 0]).mean()
+    filtered = (weights * np.square(x[:, None] + lattice.positions[None, :, 0])).sum()
+    of_pixels = (weights.sum(axis=1) * np.square(x)).sum()
+    return float(np.clip(1 - (filtered - box) / of_pixels, 0, 1)) if of_pixels > 0 and lattice.count > 1 else 0.0
