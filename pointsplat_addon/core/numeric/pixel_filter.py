@@ -6,12 +6,14 @@ A filter's size is what Blender calls so: the pixels from the filter's centre to
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 
 from .lattice import Lattice
 
 FILTER_SIZE = 1.5  # Blender's default
+EDGE_STEPS = 64  # across a pixel, where edges lie that `moved_share` is fitted to
 
 
 def blackman_harris(x: np.ndarray, size: float) -> np.ndarray:
@@ -44,16 +46,21 @@ def filter_weights(lattice: Lattice, offset: tuple[float, float], size: float) -
     return weights / weights.sum()
 
 
-def moved_share(lattice: Lattice, size: float) -> float:
-    """Returns the share of a neighbour's weight that a pixel takes instead where both hold means over their sub-samples.
+@cache
+def moved_share(size: float) -> float:
+    """Returns the share of a neighbour's weight that a pixel takes itself where both hold means over their pixels.
 
-    Such a mean is a box as wide as a pixel: with the weights of sub-samples, values are blurred by it twice, once since
-    they are the mean, once since they are taken to lie at its middle. With this share moved, the variance of what a
-    pixel takes is that of the filter, or of a box, where that is wider.
+    Such a mean is a box as wide as a pixel: with the weights of sub-samples, values would be blurred by the filter and by
+    that box. With this share moved, the response of a row of pixels to an edge, anywhere across it, is the nearest to the
+    filter's own, by least squares.
     """
-    weights, reach = filter_weights(lattice, (0.0, 0.0), size), filter_reach(size)
-    x = np.tile(np.arange(-reach, reach + 1), 2 * reach + 1)
-    box = np.square(lattice.positions[:, 0]).mean()
-    filtered = (weights * np.square(x[:, None] + lattice.positions[None, :, 0])).sum()
-    of_pixels = (weights.sum(axis=1) * np.square(x)).sum()
-    return float(np.clip(1 - (filtered - box) / of_pixels, 0, 1)) if of_pixels > 0 and lattice.count > 1 else 0.0
+    reach = filter_reach(size)
+    x = (np.arange(-(reach + 1) * EDGE_STEPS, (reach + 1) * EDGE_STEPS) + 0.5) / EDGE_STEPS
+    window = blackman_harris(x, size)
+    window /= window.sum()
+    pixel = np.round(x).astype(int) + reach + 1
+    weights = np.bincount(pixel, window)
+    alone = np.arange(len(weights)) == reach + 1
+    blurred, own = (np.cumsum(w[pixel]) / EDGE_STEPS for w in (weights, alone))
+    change = own - blurred
+    return float(np.clip((change * (np.cumsum(window) - blurred)).sum() / max((change**2).sum(), 1e-12), 0, 1))

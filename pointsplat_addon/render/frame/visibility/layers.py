@@ -245,7 +245,7 @@ class Visibility:
             behind,
             groups.places is not None,
             self._plan.defocus,
-            moved_share(targets.buffer.lattice, self._plan.filter_size),
+            moved_share(self._plan.filter_size) if targets.buffer.lattice.count > 1 else 0.0,
         )
         named = {"ps_starts": groups.starts, "ps_places": groups.places, "ps_behind": targets.behind}
         if fixed is None:
