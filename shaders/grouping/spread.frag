@@ -26,6 +26,12 @@ void ps_add(float weight, ivec2 texel)
 #endif
 }
 
+#ifdef PS_WEIGHTS
+#define PS_SUM(Q) sums[Q]
+#else
+#define PS_SUM(Q) texelFetch(ps_weights, ivec2(PS_SUB_SAMPLES, Q), 0).x
+#endif
+
 void main()
 {
 #ifndef PS_AUXILIARY_ONLY
@@ -49,6 +55,7 @@ void main()
 #ifdef PS_MOVED
   uvec2 own = uvec2(texelFetch(ps_first, pixel, 0).x, texelFetch(ps_second, pixel, 0).x);
   bool alone = (own.y & PS_UNIFORM) != 0u && ps_group_count(own) == 1;
+  ivec2 own_texel = ps_group_texel(int(texelFetch(ps_starts, pixel, 0).x));
   float moved = 0.0;
 #endif
   for (int q = 0; q < PS_NEIGHBOURS; q++) {
@@ -61,12 +68,7 @@ void main()
 #ifdef PS_WEIGHTS
     shares.x = whole ? sums[q] : 0.0;
 #else
-    shares.x = whole ? texelFetch(ps_weights, ivec2(PS_SUB_SAMPLES, q), 0).x : 0.0;
-#endif
-#ifdef PS_MOVED
-    float leaves = alone && whole && count == 1 ? PS_MOVED * shares.x : 0.0;
-    moved += leaves;
-    shares.x -= leaves;
+    shares.x = whole ? PS_SUM(q) : 0.0;
 #endif
     // A loop ends where no invocation goes on; both sides of a branch would be run.
     int separate = whole ? 0 : PS_SUB_SAMPLES;
@@ -103,8 +105,27 @@ void main()
 #endif
   }
 #ifdef PS_MOVED
+  // Neighbours on both sides of an axis that show one group each, as the pixel does, which differ from it in opposite ways: what
+  // swings from pixel to pixel is finer than these, and nothing of it is known.
+  for (int q = 0; q < (alone ? PS_NEIGHBOURS / 2 : 0); q++) {
+    ivec2 away = ivec2(q % PS_SIDE, q / PS_SIDE) - PS_REACH, before = clamp(pixel + away, ivec2(0), last);
+    ivec2 after = clamp(pixel - away, ivec2(0), last);
+    uvec2 codes = uvec2(texelFetch(ps_second, before, 0).x, texelFetch(ps_second, after, 0).x);
+    bool both = (codes.x & codes.y & PS_UNIFORM) != 0u && ps_group_count(uvec2(0u, codes.x)) == 1 &&
+                ps_group_count(uvec2(0u, codes.y)) == 1;
+    ivec2 texel_a = ps_group_texel(int(texelFetch(ps_starts, before, 0).x));
+    ivec2 texel_b = ps_group_texel(int(texelFetch(ps_starts, after, 0).x));
+    vec3 rise = texelFetch(ps_combined, own_texel, 0).rgb - texelFetch(ps_combined, texel_a, 0).rgb;
+    vec3 further = texelFetch(ps_combined, texel_b, 0).rgb - texelFetch(ps_combined, own_texel, 0).rgb;
+    if (both && dot(rise, vec3(1.0)) * dot(further, vec3(1.0)) >= 0.0) {
+      float leaves_a = PS_MOVED * PS_SUM(q), leaves_b = PS_MOVED * PS_SUM(PS_NEIGHBOURS - 1 - q);
+      ps_add(-leaves_a, texel_a);
+      ps_add(-leaves_b, texel_b);
+      moved += leaves_a + leaves_b;
+    }
+  }
   if (moved > 0.0) {
-    ps_add(moved, ps_group_texel(int(texelFetch(ps_starts, pixel, 0).x)));
+    ps_add(moved, own_texel);
   }
 #endif
 }
