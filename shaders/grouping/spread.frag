@@ -105,23 +105,24 @@ void main()
 #endif
   }
 #ifdef PS_MOVED
-  // Neighbours on both sides of an axis that show one group each, as the pixel does, which differ from it in opposite ways: what
-  // swings from pixel to pixel is finer than these, and nothing of it is known.
+  // Two neighbours on opposite sides, of one group each as the pixel is, leave it a part of their weight, since they hold means over
+  // pixels already. Not where both differ from it in the same way: what swings from pixel to pixel is finer than these.
+  vec3 middle = texelFetch(ps_combined, own_texel, 0).rgb;
+  away = ivec2(-PS_REACH);
   for (int q = 0; q < (alone ? PS_NEIGHBOURS / 2 : 0); q++) {
-    ivec2 away = ivec2(q % PS_SIDE, q / PS_SIDE) - PS_REACH, before = clamp(pixel + away, ivec2(0), last);
-    ivec2 after = clamp(pixel - away, ivec2(0), last);
+    ivec2 before = clamp(pixel + away, ivec2(0), last), after = clamp(pixel - away, ivec2(0), last);
+    away = away.x < PS_REACH ? ivec2(away.x + 1, away.y) : ivec2(-PS_REACH, away.y + 1);
     uvec2 codes = uvec2(texelFetch(ps_second, before, 0).x, texelFetch(ps_second, after, 0).x);
-    bool both = (codes.x & codes.y & PS_UNIFORM) != 0u && ps_group_count(uvec2(0u, codes.x)) == 1 &&
-                ps_group_count(uvec2(0u, codes.y)) == 1;
-    ivec2 texel_a = ps_group_texel(int(texelFetch(ps_starts, before, 0).x));
-    ivec2 texel_b = ps_group_texel(int(texelFetch(ps_starts, after, 0).x));
-    vec3 rise = texelFetch(ps_combined, own_texel, 0).rgb - texelFetch(ps_combined, texel_a, 0).rgb;
-    vec3 further = texelFetch(ps_combined, texel_b, 0).rgb - texelFetch(ps_combined, own_texel, 0).rgb;
-    if (both && dot(rise, vec3(1.0)) * dot(further, vec3(1.0)) >= 0.0) {
-      float leaves_a = PS_MOVED * PS_SUM(q), leaves_b = PS_MOVED * PS_SUM(PS_NEIGHBOURS - 1 - q);
-      ps_add(-leaves_a, texel_a);
-      ps_add(-leaves_b, texel_b);
-      moved += leaves_a + leaves_b;
+    bool both = (codes.x & codes.y & PS_UNIFORM) != 0u && ps_group_count(codes.xx) == 1 && ps_group_count(codes.yy) == 1;
+    ivec2 first = ps_group_texel(int(texelFetch(ps_starts, before, 0).x));
+    ivec2 second = ps_group_texel(int(texelFetch(ps_starts, after, 0).x));
+    float rise = dot(middle - texelFetch(ps_combined, first, 0).rgb, vec3(1.0));
+    float further = dot(texelFetch(ps_combined, second, 0).rgb - middle, vec3(1.0));
+    if (both && rise * further >= 0.0) {
+      vec2 leave = PS_MOVED * vec2(PS_SUM(q), PS_SUM(PS_NEIGHBOURS - 1 - q));
+      ps_add(-leave.x, first);
+      ps_add(-leave.y, second);
+      moved += leave.x + leave.y;
     }
   }
   if (moved > 0.0) {
