@@ -113,7 +113,7 @@ def filtered(
 
 
 def shown_normals(texels: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """(N, 3): x, y and 1 - z of the unit normals that a repeated picture of normals (H, W, 3) shows at places (N, 2)."""
+    """(N, 3): x, y and 1 - z of unit normals that a repeated picture of normals (H, W, 3) shows at places (N, 2)."""
     padded = [np.pad(texels[..., i].astype(float), 1) for i in range(3)]
     n = np.stack([_read(plane, uv, "REPEAT") for plane in padded], axis=1)
     n /= np.linalg.norm(n, axis=1, keepdims=True)

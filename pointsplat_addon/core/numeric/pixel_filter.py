@@ -50,9 +50,9 @@ def filter_weights(lattice: Lattice, offset: tuple[float, float], size: float) -
 def moved_share(size: float) -> float:
     """Returns the share of a neighbour's weight that a pixel takes itself where both hold means over their pixels.
 
-    Such a mean is a box as wide as a pixel: with the weights of sub-samples, values would be blurred by the filter and by
-    that box. With this share moved, the response of a row of pixels to an edge, anywhere across it, is the nearest to the
-    filter's own, by least squares.
+    Such a mean is a box as wide as a pixel: with the weights of sub-samples, values would be blurred by the filter and
+    by that box. With this share moved, the response of a row of pixels to an edge, anywhere across it, is the nearest
+    to the filter's own, by least squares.
     """
     reach = filter_reach(size)
     x = (np.arange(-(reach + 1) * EDGE_STEPS, (reach + 1) * EDGE_STEPS) + 0.5) / EDGE_STEPS

@@ -264,8 +264,8 @@ def test_normals_that_spread_shine_as_the_mean_of_what_they_do(roughness, metall
             return lighting.shade(0 * n, n, eyes, replace(seen, spread=spread), [light], plane=planes)[:, 0].mean()
 
         off.append(np.log(shaded(UP[None], (1 - length2) / length2) / shaded(normal, 0.0)))
-    # Measured 0.02 to 0.10 and 0.19, of the smoothest, 5 deviations off, 0.125 and 0.229; by the cosines of the mean normal and a
-    # mixture as wide as the sum 0.363 of all, and up to 3.5 times too bright.
+    # Measured 0.02 to 0.10 and 0.19, of the smoothest, 5 deviations off, 0.125 and 0.229; by the cosines of the mean
+    # normal and a mixture as wide as the sum 0.363 of all, and up to 3.5 times too bright.
     assert np.sqrt(np.square(off).mean()) < 0.13, np.round(off, 3)
     assert np.abs(off).max() < 0.24, np.round(off, 3)
 
