@@ -128,6 +128,9 @@ vec4 ps_filtered_slope(vec2 uv, PsFootprint f)
   }
   ivec2 size = ps_picture_size(ps_baked_height);
   vec4 coarse = ps_levels(ps_baked_height_levels, size, first, f.step, coarse_taps, f.level);
+#ifdef PS_PICTURE_MIRROR
+  coarse.xy *= 1.0 - 2.0 * mod(floor(uv), 2.0);  // heights fall there where they rise
+#endif
   return mix(fine, coarse, share) / float(f.taps);
 }
 #endif

@@ -156,6 +156,21 @@ def test_pictures_of_waves_far_away_shine_as_their_slopes_do(kind, look, samples
     assert inner.std() < 1e-5 * truth, f"{inner.std() / truth:.1e}"
 
 
+def test_mirrored_hills_lean_as_they_do_from_near():
+    """A ramp in a mirrored picture, 16 texels to a pixel: it rises and falls as where it is interpolated."""
+    texels = np.ones((256, 256, 4), np.float32)
+    texels[..., :3] = (np.arange(256) / 256)[None, :, None]
+    color = color_nodes.Gray(texture_nodes.ImageTexture(input_nodes.UV(), Image(texels), "Linear", "MIRROR"))
+    held = input_nodes.Constant((1.0,)), input_nodes.Constant((0.05,))
+    graph = MaterialGraph(normal=normal_nodes.Bump(color, *held, input_nodes.Coordinates("normal")))
+    found = drawn(board(2.0), *LOOKS["matte"], 1.0, build.sun(3.0, (-0.7, 0.7, 0.0)), graph=graph)
+    middle = found[SIDE // 2]
+    slope = np.array([1, -1]) * 0.05 * 2  # units of height over units of width, in the two halves
+    normal = np.stack([-slope, [-1, -1], [0, 0]], axis=1) / np.sqrt(1 + slope**2)[:, None]
+    truth = radiance(normal, *LOOKS["matte"], build.sun(3.0, (-0.7, 0.7, 0.0)))
+    np.testing.assert_allclose([middle[8], middle[24]], truth, rtol=0.01)
+
+
 WORST_OF_PICTURES = {"rough": 0.025, "matte": 0.001}  # measured 0.019 and 0.0003
 
 
