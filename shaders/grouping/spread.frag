@@ -26,12 +26,6 @@ void ps_add(float weight, ivec2 texel)
 #endif
 }
 
-#ifdef PS_WEIGHTS
-#define PS_SUM(Q) sums[Q]
-#else
-#define PS_SUM(Q) texelFetch(ps_weights, ivec2(PS_SUB_SAMPLES, Q), 0).x
-#endif
-
 void main()
 {
 #ifndef PS_AUXILIARY_ONLY
@@ -55,7 +49,6 @@ void main()
 #ifdef PS_MOVED
   uvec2 own = uvec2(texelFetch(ps_first, pixel, 0).x, texelFetch(ps_second, pixel, 0).x);
   bool alone = (own.y & PS_UNIFORM) != 0u && ps_group_count(own) == 1;
-  ivec2 own_texel = ps_group_texel(int(texelFetch(ps_starts, pixel, 0).x));
   float moved = 0.0;
 #endif
   for (int q = 0; q < PS_NEIGHBOURS; q++) {
@@ -68,7 +61,12 @@ void main()
 #ifdef PS_WEIGHTS
     shares.x = whole ? sums[q] : 0.0;
 #else
-    shares.x = whole ? PS_SUM(q) : 0.0;
+    shares.x = whole ? texelFetch(ps_weights, ivec2(PS_SUB_SAMPLES, q), 0).x : 0.0;
+#endif
+#ifdef PS_MOVED
+    float leaves = alone && whole && count == 1 ? PS_MOVED * shares.x : 0.0;
+    moved += leaves;
+    shares.x -= leaves;
 #endif
     // A loop ends where no invocation goes on; both sides of a branch would be run.
     int separate = whole ? 0 : PS_SUB_SAMPLES;
@@ -105,28 +103,8 @@ void main()
 #endif
   }
 #ifdef PS_MOVED
-  // Two neighbours on opposite sides, of one group each as the pixel is, leave it a part of their weight, since they hold means over
-  // pixels already. Not where both differ from it in the same way: what swings from pixel to pixel is finer than these.
-  vec3 middle = texelFetch(ps_combined, own_texel, 0).rgb;
-  away = ivec2(-PS_REACH);
-  for (int q = 0; q < (alone ? PS_NEIGHBOURS / 2 : 0); q++) {
-    ivec2 before = clamp(pixel + away, ivec2(0), last), after = clamp(pixel - away, ivec2(0), last);
-    away = away.x < PS_REACH ? ivec2(away.x + 1, away.y) : ivec2(-PS_REACH, away.y + 1);
-    uvec2 codes = uvec2(texelFetch(ps_second, before, 0).x, texelFetch(ps_second, after, 0).x);
-    bool both = (codes.x & codes.y & PS_UNIFORM) != 0u && ps_group_count(codes.xx) == 1 && ps_group_count(codes.yy) == 1;
-    ivec2 first = ps_group_texel(int(texelFetch(ps_starts, before, 0).x));
-    ivec2 second = ps_group_texel(int(texelFetch(ps_starts, after, 0).x));
-    float rise = dot(middle - texelFetch(ps_combined, first, 0).rgb, vec3(1.0));
-    float further = dot(texelFetch(ps_combined, second, 0).rgb - middle, vec3(1.0));
-    if (both && rise * further >= 0.0) {
-      vec2 leave = PS_MOVED * vec2(PS_SUM(q), PS_SUM(PS_NEIGHBOURS - 1 - q));
-      ps_add(-leave.x, first);
-      ps_add(-leave.y, second);
-      moved += leave.x + leave.y;
-    }
-  }
   if (moved > 0.0) {
-    ps_add(moved, own_texel);
+    ps_add(moved, ps_group_texel(int(texelFetch(ps_starts, pixel, 0).x)));
   }
 #endif
 }

@@ -13,7 +13,8 @@ import numpy as np
 from .lattice import Lattice
 
 FILTER_SIZE = 1.5  # Blender's default
-EDGE_STEPS = 64  # across a pixel, where edges lie that `moved_share` is fitted to
+EDGE_STEPS = 64  # across a pixel, where edges lie that `edge_share` is fitted to
+MOVED = 0.45  # of `edge_share`: what is finer than pixels differs from one to the next, and is seen the more
 
 
 def blackman_harris(x: np.ndarray, size: float) -> np.ndarray:
@@ -47,8 +48,9 @@ def filter_weights(lattice: Lattice, offset: tuple[float, float], size: float) -
 
 
 @cache
-def moved_share(size: float) -> float:
-    """Returns the share of a neighbour's weight that a pixel takes itself where both hold means over their pixels.
+def edge_share(size: float) -> float:
+    """Returns the share of a neighbour's weight that is best left to the pixel, for edges, where both hold means over
+    their pixels.
 
     Such a mean is a box as wide as a pixel: with the weights of sub-samples, values would be blurred by the filter and
     by that box. With this share moved, the response of a row of pixels to an edge, anywhere across it, is the nearest

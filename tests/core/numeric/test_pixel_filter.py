@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.numeric.pixel_filter import blackman_harris, filter_reach, moved_share
+from pointsplat_addon.core.numeric.pixel_filter import blackman_harris, filter_reach, edge_share
 
 
 def edge_error(size: float, share: float) -> float:
@@ -19,17 +19,17 @@ def edge_error(size: float, share: float) -> float:
 
 @pytest.mark.parametrize("size", [1.25, 1.5, 2.0, 3.0])
 def test_the_share_that_moves_is_the_best_for_edges(size):
-    best = moved_share(size)
+    best = edge_share(size)
     for other in (0.9 * best, 1.1 * best):
         assert edge_error(size, best) < edge_error(size, other)
 
 
 def test_the_default_filter_blurs_edges_half_as_much():
-    assert moved_share(1.5) == pytest.approx(0.431, abs=0.001)
+    assert edge_share(1.5) == pytest.approx(0.431, abs=0.001)
     assert edge_error(1.5, 0.0) == pytest.approx(0.0308, abs=2e-4)
-    assert edge_error(1.5, moved_share(1.5)) == pytest.approx(0.0171, abs=2e-4)
+    assert edge_error(1.5, edge_share(1.5)) == pytest.approx(0.0171, abs=2e-4)
 
 
 @pytest.mark.parametrize("size", [0.01, 0.5])
 def test_nothing_moves_where_a_pixel_takes_nothing_of_its_neighbours(size):
-    assert moved_share(size) == 0
+    assert edge_share(size) == 0

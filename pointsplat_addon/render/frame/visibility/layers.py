@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ....core.numeric.linear import are_similarities
-from ....core.numeric.pixel_filter import filter_reach, filter_weights, moved_share
+from ....core.numeric.pixel_filter import MOVED, edge_share, filter_reach, filter_weights
 from ...device.protocol import Device, Target, Texture
 from ...passes.gbuffer import GBuffer, Variant
 from ...passes.grouping.groups import Leaders
@@ -245,7 +245,7 @@ class Visibility:
             behind,
             groups.places is not None,
             self._plan.defocus,
-            moved_share(self._plan.filter_size) if targets.buffer.lattice.count > 1 else 0.0,
+            MOVED * edge_share(self._plan.filter_size) if targets.buffer.lattice.count > 1 else 0.0,
         )
         named = {"ps_starts": groups.starts, "ps_places": groups.places, "ps_behind": targets.behind}
         if fixed is None:

@@ -31,7 +31,7 @@ def spread_program(
     `combined`: the picture, not only passes beside it. `reach`: of the filter, in pixels. weights: of `filter_weights`,
     or None where a texture holds them. `behind`: open sub-samples show something. `places`: the list is not in the
     order of the pixels. `focus`: groups tell how much of them is in focus, and at which depth.
-    `moved`: of `moved_share`, with which Combined and what is drawn beside it are sharper within a surface.
+    `moved`: the share of a neighbour's weight that is left to a pixel where each is of one group.
     """
     outputs = (*averaged_outputs(passes, combined), *((FOCUS_OUTPUT,) if focus else ()))
     shaded = tuple(("FLOAT_2D", name.replace("out_", "ps_")) for _, name in outputs)
@@ -47,7 +47,7 @@ def spread_program(
                   *(("FLOAT_2D", name) for name, on in read.items() if on), *shaded),
         defines=(("PS_SUB_SAMPLES", str(lattice.count)), ("PS_REACH", str(reach)),
                  *((name, "1") for name in names), *constants,
-                 *((("PS_MOVED", f"{moved:.9g}"),) if moved > 0 and combined else ())),
+                 *((("PS_MOVED", f"{moved:.9g}"),) if moved > 0 else ())),
     )  # fmt: skip
 
 
