@@ -1,4 +1,4 @@
-"""Edges of textures within a surface are about as sharp as in Cycles."""
+"""Edges of textures within a surface are nearly as sharp as in Cycles."""
 
 import numpy as np
 import pytest
@@ -61,10 +61,11 @@ def off(scene, folder, samples: int) -> float:
 
 @pytest.mark.parametrize("samples", [4, 16])
 @pytest.mark.parametrize("pixels", [4, 8])
-def test_stripes_are_as_sharp_as_in_cycles(scene, tmp_path, pixels, samples):
+def test_stripes_are_nearly_as_sharp_as_in_cycles(scene, tmp_path, pixels, samples):
     board = square(1.4)
     board.rotation_euler = 0, 0, 0.17
     board.data.materials.append(striped(pixels * TEXELS / (1.4 * SIDE)))
     found = off(scene, tmp_path, samples)
-    print("STRIPES", pixels, samples, found)
-    assert found < {4: 0.03, 8: 0.021}[pixels], f"{found:.4f}"
+    # Measured 0.0286 and 0.0210 with 4 and 16 samples, 0.0200 and 0.0149 of wider ones; by the weights of sub-samples
+    # alone 0.038 and 0.030, 0.027 and 0.021.
+    assert found < {4: 0.03, 8: 0.0205}[pixels], f"{found:.4f}"
