@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.numeric.pixel_filter import blackman_harris, filter_reach, edge_share
+from pointsplat_addon.core.numeric.pixel_filter import blackman_harris, edge_share, filter_reach
 
 
 def edge_error(size: float, share: float) -> float:

@@ -229,6 +229,17 @@ class Visibility:
         if self._splats is not None:
             self._splats.write_attributes(variant, self._uploads.points.draws, view, shared, groups, leaders, out)
 
+    @property
+    def _moved(self) -> float:
+        """The share of a neighbour's weight that is left to a pixel where each is of one group: none in scenes with
+        things before or behind these that are weighed by themselves, whether a view shows them or not."""
+        scene = self._uploads.scene
+        clear = scene.materials.translucent is not None and bool(scene.materials.translucent.any())
+        others = any(one.volume is not None or one.captured is not None for one in scene.geometries)
+        if clear or others or scene.instances.matte is not None or self._plan.sub_samples < 2:
+            return 0.0
+        return MOVED * edge_share(self._plan.filter_size)
+
     def _spread(self, view: SampleView, tile: PictureTile, shaded: dict[str, Texture], sums: Target) -> None:
         """Adds what the groups show to the sums."""
         targets, groups = self._targets, self._targets.groups
@@ -245,7 +256,7 @@ class Visibility:
             behind,
             groups.places is not None,
             self._plan.defocus,
-            MOVED * edge_share(self._plan.filter_size) if targets.buffer.lattice.count > 1 else 0.0,
+            self._moved,
         )
         named = {"ps_starts": groups.starts, "ps_places": groups.places, "ps_behind": targets.behind}
         if fixed is None:
