@@ -50,9 +50,6 @@ vec3 ps_weights(vec3 a, vec3 b, vec3 q)
   return weights / (weights.x + weights.y + weights.z);
 }
 
-#ifdef PS_AVERAGE
-#define PS_MAGNIFIED 0.5  // texels that a pixel spans: up to here colours change linearly over it
-
 #ifdef PS_LEVELS
 // Changes of UV from a pixel to the next, along x and y, at a point of a triangle with these edges and changes along them.
 mat2 ps_uv_from_pixel(vec3 a, vec3 b, vec2 along_a, vec2 along_b, vec3 position)
@@ -68,8 +65,17 @@ mat2 ps_uv_from_pixel(vec3 a, vec3 b, vec2 along_a, vec2 along_b, vec3 position)
   vec3 x = size.x * (vec3(1.0, 0.0, 0.0) - farther * plane.x), y = size.y * (vec3(0.0, 1.0, 0.0) - farther * plane.y);
   return mat2(along_a * dot(by_a, x) + along_b * dot(by_b, x), along_a * dot(by_a, y) + along_b * dot(by_b, y));
 }
+
+// Of a point of such a triangle.
+PsFootprint ps_member_footprint(vec3 a, vec3 b, vec2 along_a, vec2 along_b, vec3 position)
+{
+  mat2 uv_from_pixel = ps_uv_from_pixel(a, b, along_a, along_b, position);
+  float side = ps_footprint_side(u.footprint, uv_from_pixel, ps_patch_area(along_a, along_b));
+  return ps_footprint(side * uv_from_pixel[0], side * uv_from_pixel[1], ps_texels());
+}
 #endif
 
+#if defined(PS_AVERAGE) || defined(PS_LEVELS)
 // Texels that a pixel spans at most, of a triangle with these edges and changes of UV along them, at depth d.
 float ps_texels_of_pixel(vec3 a, vec3 b, vec2 along_a, vec2 along_b, vec3 toward, float d)
 {
@@ -80,6 +86,10 @@ float ps_texels_of_pixel(vec3 a, vec3 b, vec2 along_a, vec2 along_b, vec3 toward
   float cosine = abs(dot(plane, toward)) * inversesqrt(square * dot(toward, toward));
   return max(steps.x, steps.y) * ps_pixel_size(d) / max(cosine, 1e-4);
 }
+#endif
+
+#ifdef PS_AVERAGE
+#define PS_MAGNIFIED 0.5  // texels that a pixel spans: up to here colours change linearly over it
 
 // A point that a cell shows of a triangle, whose edges are a and b; how UV changes along these.
 struct PsMember {
@@ -107,9 +117,7 @@ PsMember ps_member(int slot, int triangle, ivec2 cell)
 #ifdef PS_LEVELS
 void ps_filtered_member(inout PsSurfel s, PsMember m)
 {
-  mat2 uv_from_pixel = ps_uv_from_pixel(m.a, m.b, m.along_a, m.along_b, m.position);
-  float side = ps_footprint_side(u.footprint, uv_from_pixel, ps_patch_area(m.along_a, m.along_b));
-  v_footprint = ps_footprint(side * uv_from_pixel[0], side * uv_from_pixel[1], ps_texels());
+  v_footprint = ps_member_footprint(m.a, m.b, m.along_a, m.along_b, m.position);
   v_uv = m.uv;
   ps_filtered_attributes(s);
 }
@@ -132,6 +140,9 @@ void ps_add_shown(inout PsSurfel sum, inout float count, PsSurfel one)
 
 #if defined(PS_BAKED_NORMAL) || defined(PS_BAKED_HEIGHT)
 #define PS_BENT
+#if defined(PS_LEVELS) && defined(PS_SPREAD)
+#define PS_FILTERED_BENDS  // over the footprints of sub-samples, where one spans more than a texel
+#endif
 #endif
 
 #if defined(PS_AVERAGE) || (defined(PS_SPREAD) && defined(PS_BENT))
@@ -151,6 +162,61 @@ bool ps_is_like(int slot, inout int triangle)
 }
 #endif
 
+#ifdef PS_BENT
+// What pictures show of a normal.
+struct PsBend {
+#ifdef PS_BAKED_NORMAL
+  vec3 normal;  // in tangent space
+#endif
+#ifdef PS_BAKED_HEIGHT
+  vec3 slope;  // of ps_slope
+#endif
+#ifdef PS_FILTERED_BENDS
+  float within;  // 1 minus the squared length of the normals' mean over a footprint
+#ifdef PS_BAKED_HEIGHT
+  vec2 slopes;  // variances, along u and v
+#endif
+#endif
+};
+
+PsBend ps_bend(vec2 at)
+{
+  PsBend bend;
+#ifdef PS_BAKED_NORMAL
+  bend.normal = ps_picture(ps_baked_normal, at).xyz;
+#endif
+#ifdef PS_BAKED_HEIGHT
+  bend.slope = ps_slope(at);
+#endif
+#ifdef PS_FILTERED_BENDS
+  bend.within = 0.0;
+#ifdef PS_BAKED_HEIGHT
+  bend.slopes = vec2(0.0);
+#endif
+#endif
+  return bend;
+}
+
+#ifdef PS_FILTERED_BENDS
+// The mean over a footprint.
+PsBend ps_filtered_bend(vec2 at, PsFootprint footprint)
+{
+  PsBend bend = ps_bend(at);
+#ifdef PS_BAKED_NORMAL
+  vec3 mean = ps_filtered_normal(at, footprint);  // z: 1 minus it
+  bend.normal = vec3(mean.xy, 1.0 - mean.z);
+  bend.within = max(2.0 * mean.z - mean.z * mean.z - dot(mean.xy, mean.xy), 0.0);
+#endif
+#ifdef PS_BAKED_HEIGHT
+  vec4 slopes = ps_filtered_slope(at, footprint);
+  bend.slope.xy = slopes.xy;
+  bend.slopes = max(slopes.zw - slopes.xy * slopes.xy, vec2(0.0));
+#endif
+  return bend;
+}
+#endif
+#endif
+
 #ifdef PS_NORMAL
 struct PsCorners {
   vec4 texels[3];  // the last is the packed normal
@@ -162,10 +228,13 @@ struct PsShown {
   vec3 normal;  // on the side of the corners' normals
   vec3 plane;
   bool turned;  // the other side is seen
+#ifdef PS_FILTERED_BENDS
+  float within;  // of PsBend, with that of slopes
+#endif
 };
 
 #ifdef PS_BENT
-PsShown ps_shown(int slot, PsCorners corners, vec2 uv[3], vec3 weights, vec2 at, vec3 position)
+PsShown ps_shown(int slot, PsCorners corners, vec2 uv[3], vec3 weights, PsBend bend, vec3 position)
 #else
 PsShown ps_shown(int slot, PsCorners corners, vec3 weights, vec3 position)
 #endif
@@ -182,7 +251,7 @@ PsShown ps_shown(int slot, PsCorners corners, vec3 weights, vec3 position)
     normal += weights[i] * ps_unpack_normal(corners.texels[i].w);
   }
   vec3 first = corners.texels[0].xyz;
-  normal = ps_bent(ps_direction(normal, vec3(0.0, 0.0, 1.0)), ps_picture(ps_baked_normal, at).xyz,
+  normal = ps_bent(ps_direction(normal, vec3(0.0, 0.0, 1.0)), bend.normal,
                    corners.texels[1].xyz - first, corners.texels[2].xyz - first, uv[1] - uv[0], uv[2] - uv[0]);
   shown.normal = ps_view_normal(linear, normal);
 #else
@@ -192,7 +261,17 @@ PsShown ps_shown(int slot, PsCorners corners, vec3 weights, vec3 position)
   shown.normal = ps_direction(normal, vec3(0.0, 0.0, 1.0));
 #endif
 #ifdef PS_BAKED_HEIGHT
-  shown.normal = ps_raised(shown.normal, at, shown.turned ? -1.0 : 1.0, a, b, uv[1] - uv[0], uv[2] - uv[0]);
+  mat2x3 tilts = ps_tilts(shown.normal, a, b, uv[1] - uv[0], uv[2] - uv[0]);
+  shown.normal = ps_raised(shown.normal, bend.slope, shown.turned ? -1.0 : 1.0, tilts);
+#endif
+#ifdef PS_FILTERED_BENDS
+  shown.within = bend.within;
+#ifdef PS_BAKED_HEIGHT
+  // As means of unit normals do, of which a variance of slopes is the squared length's missing part over the rest.
+  float strength = clamp(bend.slope.z, 0.0, 1.0);
+  vec2 size2 = vec2(dot(tilts[0], tilts[0]), dot(tilts[1], tilts[1]));
+  shown.within = 1.0 - (1.0 - bend.within) / (1.0 + strength * strength * dot(bend.slopes, size2));
+#endif
 #endif
   return shown;
 }
@@ -217,35 +296,74 @@ float ps_bulge(int slot, PsCorners corners, vec3 weights, vec3 position, bool tu
 }
 
 #if defined(PS_SPREAD) && defined(PS_BENT)
-// Shades a group by the mean of its sub-samples' normals, which pictures bend, and keeps their spread.
-void ps_shade_by_bends(inout PsSurfel s, PsLeader leader, int slot)
+// How a sub-sample of a group shows a triangle, whose normal pictures bend.
+struct PsBentMember {
+  vec3 position;
+  PsCorners corners;
+  vec2 uv[3];
+  vec3 weights;
+  vec2 at;
+};
+
+PsBentMember ps_bent_member(PsLeader leader, int slot, int triangle, ivec2 cell, int number)
 {
   const vec2 offsets[PS_SUB_SAMPLES] = PS_OFFSETS;
+  float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
+  PsBentMember m;
+  m.position = ps_view_from_pixel(vec2(leader.pixel) + 0.5 + offsets[number], d);
+  for (int i = 0; i < 3; i++) {
+    ivec2 texel = ps_texel(3 * triangle + i);
+    m.corners.texels[i] = texelFetch(ps_corner, texel, 0);
+    m.corners.p[i] = ps_view_from_point(slot, m.corners.texels[i].xyz);
+    m.uv[i] = texelFetch(ps_corner_uv, texel, 0).xy;
+  }
+  m.weights = ps_weights(m.corners.p[1] - m.corners.p[0], m.corners.p[2] - m.corners.p[0], m.position - m.corners.p[0]);
+  m.at = m.weights.x * m.uv[0] + m.weights.y * m.uv[1] + m.weights.z * m.uv[2];
+  return m;
+}
+
+void ps_add_bent(inout PsNormals normals, PsShown shown)
+{
+#ifdef PS_FILTERED_BENDS
+  normals.sum += (shown.turned ? -1.0 : 1.0) * sqrt(max(1.0 - shown.within, 0.0)) * shown.normal;
+  normals.within += shown.within;
+#else
+  normals.sum += shown.turned ? -shown.normal : shown.normal;
+#endif
+  normals.count += 1.0;
+}
+
+// Shades a group by the mean of its sub-samples' normals, which pictures bend, and keeps their spread. `minified`: a
+// footprint spans more than a texel.
+void ps_shade_by_bends(inout PsSurfel s, PsLeader leader, int slot, bool minified)
+{
   uvec2 codes = uvec2(texelFetch(ps_first, leader.pixel, 0).x, texelFetch(ps_second, leader.pixel, 0).x);
   ivec2 middle = ps_central_cell(leader.pixel);
-  PsNormals normals = PsNormals(vec3(0.0), 0.0);
-  for (uvec2 members = ps_group_members(codes, uint(leader.layer)); (members.x | members.y) != 0u;) {
-    int member;
-    ivec2 cell = middle + ps_next_member(members, member);
+  PsNormals normals = PsNormals(vec3(0.0), 0.0, 0.0);
+  uvec2 whole = ps_group_members(codes, uint(leader.layer));
+  for (uvec2 members = minified ? uvec2(0u) : whole; (members.x | members.y) != 0u;) {
+    int number;
+    ivec2 cell = middle + ps_next_member(members, number);
     int triangle = int(texelFetch(ps_ids, cell, 0).x & ~PS_RASTERISED) - u.first_id;
     if (ps_is_like(slot, triangle)) {
-      float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
-      vec3 position = ps_view_from_pixel(vec2(leader.pixel) + 0.5 + offsets[member], d);
-      PsCorners corners;
-      vec2 uv[3];
-      for (int i = 0; i < 3; i++) {
-        ivec2 texel = ps_texel(3 * triangle + i);
-        corners.texels[i] = texelFetch(ps_corner, texel, 0);
-        corners.p[i] = ps_view_from_point(slot, corners.texels[i].xyz);
-        uv[i] = texelFetch(ps_corner_uv, texel, 0).xy;
-      }
-      vec3 weights = ps_weights(corners.p[1] - corners.p[0], corners.p[2] - corners.p[0], position - corners.p[0]);
-      vec2 at = weights.x * uv[0] + weights.y * uv[1] + weights.z * uv[2];
-      PsShown shown = ps_shown(slot, corners, uv, weights, at, position);
-      normals.sum += shown.turned ? -shown.normal : shown.normal;
-      normals.count += 1.0;
+      PsBentMember m = ps_bent_member(leader, slot, triangle, cell, number);
+      ps_add_bent(normals, ps_shown(slot, m.corners, m.uv, m.weights, ps_bend(m.at), m.position));
     }
   }
+#ifdef PS_FILTERED_BENDS
+  for (uvec2 members = minified ? whole : uvec2(0u); (members.x | members.y) != 0u;) {
+    int number;
+    ivec2 cell = middle + ps_next_member(members, number);
+    int triangle = int(texelFetch(ps_ids, cell, 0).x & ~PS_RASTERISED) - u.first_id;
+    if (ps_is_like(slot, triangle)) {
+      PsBentMember m = ps_bent_member(leader, slot, triangle, cell, number);
+      vec3 a = m.corners.p[1] - m.corners.p[0], b = m.corners.p[2] - m.corners.p[0];
+      PsFootprint footprint = ps_member_footprint(a, b, m.uv[1] - m.uv[0], m.uv[2] - m.uv[0], m.position);
+      PsBend bend = ps_filtered_bend(m.at, footprint);
+      ps_add_bent(normals, ps_shown(slot, m.corners, m.uv, m.weights, bend, m.position));
+    }
+  }
+#endif
   s.normal.xyz = ps_direction(normals.sum, s.normal.xyz);
   s.centre.y = ps_normal_spread(normals);
 }
@@ -290,6 +408,10 @@ void main()
                        texelFetch(ps_corner_uv, texels[2], 0).xy);
   v_uv = weights.x * uv[0] + weights.y * uv[1] + weights.z * uv[2];
 #endif
+#if defined(PS_AVERAGE) || defined(PS_LEVELS)
+  vec3 toward = ps_is_perspective() ? leader.position : vec3(0.0, 0.0, -1.0);
+  float spanned = ps_texels_of_pixel(a, b, uv[1] - uv[0], uv[2] - uv[0], toward, -leader.position.z);
+#endif
 #ifdef PS_CORNER_COLOR
   v_color = weights.x * texelFetch(ps_corner_color, texels[0], 0) + weights.y * texelFetch(ps_corner_color, texels[1], 0) +
             weights.z * texelFetch(ps_corner_color, texels[2], 0);
@@ -322,7 +444,7 @@ void main()
 #ifdef PS_NORMAL
   PsCorners own = PsCorners(corners, p);
 #ifdef PS_BENT
-  PsShown shown = ps_shown(slot, own, uv, weights, v_uv, leader.position);
+  PsShown shown = ps_shown(slot, own, uv, weights, ps_bend(v_uv), leader.position);
 #else
   PsShown shown = ps_shown(slot, own, weights, leader.position);
 #endif
@@ -336,8 +458,10 @@ void main()
   s.normal.xyz = shown.normal;
   s.shape.z = ps_bulge(slot, own, weights, leader.position, shown.turned);
   ps_seen_from(s, shown.plane, shown.turned);
-#if defined(PS_SPREAD) && defined(PS_BENT)
-  ps_shade_by_bends(s, leader, slot);
+#if defined(PS_FILTERED_BENDS)
+  ps_shade_by_bends(s, leader, slot, spanned * u.footprint > 1.0);
+#elif defined(PS_SPREAD) && defined(PS_BENT)
+  ps_shade_by_bends(s, leader, slot, false);
 #elif defined(PS_KEYED)
   ps_shade_by_keys(s, leader.pixel, leader.layer);
 #endif
@@ -348,8 +472,6 @@ void main()
   ivec2 middle = ps_central_cell(leader.pixel);
   PsSurfel sum = ps_empty();
   float count = 0.0;
-  vec3 toward = ps_is_perspective() ? leader.position : vec3(0.0, 0.0, -1.0);
-  float spanned = ps_texels_of_pixel(a, b, uv[1] - uv[0], uv[2] - uv[0], toward, -leader.position.z);
 #ifdef PS_PICTURE_CLOSEST
   spanned = max(spanned, 1.0);  // colours jump
 #endif

@@ -110,7 +110,7 @@ void main()
 #ifdef PS_DISKS
     s.normal.xyz = splat.ball ? s.normal.xyz : ps_direction(sum.normal.xyz, s.normal.xyz);
 #ifdef PS_SPREAD
-    s.centre.y = splat.ball ? s.centre.y : ps_normal_spread(PsNormals(sum.normal.xyz, count));
+    s.centre.y = splat.ball ? s.centre.y : ps_normal_spread(PsNormals(sum.normal.xyz, count, 0.0));
 #endif
 #endif
 #ifdef PS_COLOR

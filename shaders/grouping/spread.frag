@@ -2,7 +2,8 @@
 // their sub-samples weigh. PS_REACH: pixels to the farthest of them. PS_WEIGHTS: the weights of sub-samples that lie on
 // their lattice; else `ps_weights` holds them. PS_BEHIND: what open sub-samples show. PS_PLACES: groups are not listed in
 // the order of their pixels. PS_AUXILIARY_ONLY: not Combined. PS_FOCUS: what is
-// out of focus is left out, and the rest has its depth. u.corner: where in the picture the tile begins.
+// out of focus is left out, and the rest has its depth. PS_MOVED: the share of a neighbour's weight that is left to the pixel
+// where each is of one group. u.corner: where in the picture the tile begins.
 
 #include "lib/visibility/groups.glsl"
 
@@ -45,6 +46,11 @@ void main()
 #endif
   ivec2 pixel = ivec2(gl_FragCoord.xy) - u.corner, last = textureSize(ps_second, 0) - 1;
   ivec2 away = ivec2(-PS_REACH);
+#ifdef PS_MOVED
+  uvec2 own = uvec2(texelFetch(ps_first, pixel, 0).x, texelFetch(ps_second, pixel, 0).x);
+  bool alone = (own.y & PS_UNIFORM) != 0u && ps_group_count(own) == 1;
+  float moved = 0.0;
+#endif
   for (int q = 0; q < PS_NEIGHBOURS; q++) {
     ivec2 at = clamp(pixel + away, ivec2(0), last);
     away = away.x < PS_REACH ? ivec2(away.x + 1, away.y) : ivec2(-PS_REACH, away.y + 1);
@@ -56,6 +62,11 @@ void main()
     shares.x = whole ? sums[q] : 0.0;
 #else
     shares.x = whole ? texelFetch(ps_weights, ivec2(PS_SUB_SAMPLES, q), 0).x : 0.0;
+#endif
+#ifdef PS_MOVED
+    float leaves = alone && whole && count == 1 ? PS_MOVED * shares.x : 0.0;
+    moved += leaves;
+    shares.x -= leaves;
 #endif
     // A loop ends where no invocation goes on; both sides of a branch would be run.
     int separate = whole ? 0 : PS_SUB_SAMPLES;
@@ -91,4 +102,9 @@ void main()
     }
 #endif
   }
+#ifdef PS_MOVED
+  if (moved > 0.0) {
+    ps_add(moved, ps_group_texel(int(texelFetch(ps_starts, pixel, 0).x)));
+  }
+#endif
 }

@@ -39,7 +39,8 @@ void main()
                          dFdx(v_uv), dFdy(v_uv));
 #endif
 #ifdef PS_BAKED_HEIGHT
-  s.normal.xyz = ps_raised(s.normal.xyz, v_uv, turned ? -1.0 : 1.0, dFdx(v_position), dFdy(v_position), dFdx(v_uv), dFdy(v_uv));
+  mat2x3 tilts = ps_tilts(s.normal.xyz, dFdx(v_position), dFdy(v_position), dFdx(v_uv), dFdy(v_uv));
+  s.normal.xyz = ps_raised(s.normal.xyz, ps_slope(v_uv), turned ? -1.0 : 1.0, tilts);
 #endif
   ps_seen_from(s, plane, turned);
 #endif

@@ -9,6 +9,7 @@ import pointsplat_addon
 from tests.support.blender.scenes import mesh_object, new_material, node, picture
 
 SIDE = 32  # texels along a side of a picture
+REPEATS = 24.0  # of pictures along a side that are finer than pixels
 
 
 @pytest.fixture(scope="module")
@@ -74,11 +75,36 @@ def normal_map(tree, strength=1.0):
     return node(tree, "ShaderNodeNormalMap", {"Strength": strength, "Color": color})
 
 
-def plane(mirrored: bool = False):
+def hills() -> np.ndarray:
+    """Heights (SIDE, SIDE) without any order, smooth over two texels, that rise by 0.2 (RMS) from texel to texel."""
+    waves = np.fft.fft2(np.random.default_rng(5).normal(size=(SIDE, SIDE)))
+    frequency = np.fft.fftfreq(SIDE)
+    smooth = np.exp(-40 * (frequency[:, None] ** 2 + frequency**2))
+    height = np.fft.ifft2(waves * smooth).real
+    return 0.2 * height / np.sqrt(0.5 * sum(np.square(slope).mean() for slope in slopes(height)))
+
+
+def slopes(height: np.ndarray) -> list[np.ndarray]:
+    return [(np.roll(height, -1, axis) - np.roll(height, 1, axis)) / 2 for axis in (1, 0)]
+
+
+def hilly_map(tree):
+    across, up = slopes(hills())
+    n = np.dstack([-across, -up, np.ones((SIDE, SIDE))])
+    color = image(tree, 0.5 + 0.5 * n / np.linalg.norm(n, axis=2, keepdims=True))
+    return node(tree, "ShaderNodeNormalMap", {"Color": color})
+
+
+def hilly_bump(tree):
+    color = image(tree, np.repeat(hills()[..., None], 3, axis=2))
+    return node(tree, "ShaderNodeBump", {"Height": color, "Strength": 1.0, "Distance": 2 / (SIDE * REPEATS)})
+
+
+def plane(mirrored: bool = False, repeats: float = 1.0):
     made = mesh_object("plane", [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [(0, 1, 2, 3)])
     uv = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], np.float32)
     uv[:, 0] = 1 - uv[:, 0] if mirrored else uv[:, 0]
-    made.data.uv_layers.new(name="UVMap").data.foreach_set("uv", uv.ravel())
+    made.data.uv_layers.new(name="UVMap").data.foreach_set("uv", (uv * repeats).ravel())
     return made
 
 
@@ -126,3 +152,39 @@ def test_bent_normals_are_lit_as_in_cycles(scene, tmp_path, case):
     assert truth[inside][:, 0].std() > 0.05
     # Measured: 0.0017 to 0.0124, and 0.0176 where a sphere's poles are a pixel wide.
     assert np.sqrt(np.square(error).mean()) < 0.02, f"{np.sqrt(np.square(error).mean()):.4f}"
+
+
+@pytest.mark.parametrize(("roughness", "metallic"), [(0.15, 1.0), (0.3, 1.0), (0.3, 0.0)])
+@pytest.mark.parametrize("bend", [hilly_map, hilly_bump])
+def test_pictures_finer_than_pixels_shine_as_in_cycles(scene, tmp_path, bend, roughness, metallic):
+    """Some 15 texels a pixel, of normals or heights without any order: energy, and the deviation from 1,024 samples."""
+    thing, material = plane(repeats=REPEATS), new_material()
+    inputs = {"Base Color": (0.8, 0.8, 0.8, 1), "Roughness": roughness, "Metallic": metallic}
+    inputs["Normal"] = bend(material.node_tree).outputs[0]
+    shader = node(material.node_tree, "ShaderNodeBsdfPrincipled", inputs)
+    node(material.node_tree, "ShaderNodeOutputMaterial", {"Surface": shader.outputs[0]})
+    thing.data.materials.append(material)
+    thing.pointsplat.primitive = "POLYGONS"
+    before = scene.objects["sun"].rotation_euler.copy()
+    scene.objects["sun"].rotation_euler = -0.4, 0.2, 0  # about where the camera is mirrored
+    drawn = {}
+    for samples in (1024, 4, 16):
+        scene.render.engine = "CYCLES" if samples == 1024 else "POINTSPLAT"
+        scene.cycles.samples = scene.pointsplat.samples = samples
+        drawn[samples] = picture(scene, tmp_path)
+    scene.objects["sun"].rotation_euler = before
+    scene.cycles.samples, scene.pointsplat.samples = 64, 16
+    bpy.data.objects.remove(thing)
+    truth = drawn.pop(1024)
+    inside = truth[..., 3] > 0.99
+    for ours in drawn.values():
+        light, known = (p[inside][:, :3].mean(axis=1, dtype=float) for p in (ours, truth))
+        energy, off = light.mean() / known.mean(), np.sqrt(np.square(light - known).mean()) / known.mean()
+        assert abs(energy - 1) < WORST[metallic][0], f"{energy:.4f}"
+        assert off < WORST[metallic][1] * (2.4 if roughness < 0.2 else 1.0), f"{off:.4f}"
+
+
+# By metallic, energy and RMSE. Measured of metal, maps: 1.075 to 1.090; bumps, which Cycles flattens where a tenth of a
+# pixel is longer than a texel: 0.900 to 0.903; RMSE 0.142 and, of a roughness of 0.15, 0.311. Of dull ones 0.983 to
+# 1.014, 0.022.
+WORST = {1.0: (0.11, 0.15), 0.0: (0.02, 0.025)}

@@ -37,6 +37,8 @@ NARROW = (1.5, 4.0)  # angular radius of a light over the lobe's width, between 
 AREA_NARROW = (1.0, 2.5)  # of area lights
 BEYOND = 1.0  # widths of the lobe beyond the light, from where on half vectors are integrated
 MOST_OF_LOBE = 1.25  # of what a lobe reflects at the mirrored ray, what it reflects in all
+WIDER_SUM = 1.1  # of a GGX lobe's slopes and a Gaussian's, drawn as a mixture of both
+TURNED_BY = 10.0  # of alpha squared: the less of wide lobes
 HALF_SIDES = 12  # of the polygon that stands for an ellipse among half vectors
 # A quadrature of degree 5 over the unit disk: cosine and sine of the azimuth, radius, weight.
 DISK = (
@@ -138,7 +140,10 @@ class _Material:
         self.surface, self.shading, self.normal, self.to_eye = surface, shading, normal, to_eye
         self.alpha = np.maximum(np.clip(surface.roughness, 0, 1) ** 2, MIN_ALPHA)
         self.widened = np.minimum(surface.spread, 1 - self.alpha**2)
-        self.alpha = np.sqrt(self.alpha**2 + self.widened)
+        own2, both2 = self.alpha**2, self.alpha**2 + self.widened
+        self.alpha = np.minimum(
+            np.sqrt(both2 + WIDER_SUM * np.maximum(1 - TURNED_BY * own2, 0) * own2 * self.widened / both2), 1
+        )
         self.cos_eye = np.clip(_dot(normal, to_eye), 1e-4, 1)
         metallic = np.clip(surface.metallic, 0, 1)[:, None]
         self.metal_f0 = np.clip(surface.base, 0, 1)
@@ -177,17 +182,23 @@ class _Material:
         """(N, 3) BSDF of the GGX lobe times n.l by share of its half vectors, for directions (N, 3) to the light."""
         half = unit_rows(direction + self.to_eye)
         cos_between, cl = np.clip(_dot(half, direction), 0, 1), np.maximum(_dot(self.normal, direction), 0)
-        turned = np.where(cl > 0, cos_between / np.maximum(_dot(self.normal, half), 1e-6), 0)
-        return (
-            self._fresnel(cos_between) * (4 * cl * turned * self._visibility(cl, self.alpha**2 - self.widened))[:, None]
-        )
+        turned = cos_between / np.maximum(_dot(self.normal, half), 1e-6)
+        a2 = self.alpha**2
+        share, own = self.widened / a2, a2 - self.widened
+        weight = (1 - share) * cl * _visibility(cl, self.cos_eye, own)
+        weight += share * self._spread_weight(direction, half, share, own)
+        return self._fresnel(cos_between) * (4 * turned * weight)[:, None]
 
-    def _visibility(self, cos_light: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Smith's height-correlated masking over 4 n.l n.v (Heitz 2014, equation 99); own: alpha squared."""
-        return 0.5 / (
-            cos_light * np.sqrt(own + (1 - own) * self.cos_eye**2)
-            + self.cos_eye * np.sqrt(own + (1 - own) * cos_light**2)
-        )
+    def _spread_weight(self, direction: np.ndarray, half: np.ndarray, share: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """n.l over masking, and the cosine to the mean normal, (N,): of those normals among the spread that mirror the
+        eye to the light, the mean of slopes between the half vector's and 0; own: alpha squared."""
+        along = _dot(self.normal, half)
+        n = self.normal + share[:, None] * (half / np.maximum(along, 1e-6)[:, None] - self.normal)
+        cosine = 1 / np.linalg.norm(n, axis=1)
+        above, eye = _dot(n, direction) * cosine, np.maximum(_dot(n, self.to_eye) * cosine, 1e-4)
+        lit = (along > 0) & (above > 0)
+        above = np.where(lit, above, 1.0)
+        return np.where(lit, cosine * above * _visibility(above, eye, own), 0.0)
 
     def _fresnel(self, cos_between: np.ndarray) -> np.ndarray:
         metal = self.metal_f0 + (1 - self.metal_f0) * ((1 - cos_between) ** 5)[:, None]
@@ -204,16 +215,21 @@ class _Material:
         sin2 = (np.cross(self.normal, half) ** 2).sum(1)
         density = a2 / (np.pi * (a2 * cos_half**2 + sin2) ** 2)
         # The spread of normals is a Gaussian of slopes, without the tails of GGX, and of those that are seen none masks
-        # another.
+        # another: each has its share of the pixel.
         tan2 = sin2 / np.where(cos_half > 0, cos_half, 1e-5) ** 2
         gaussian = np.exp(-tan2 / a2) / (np.pi * a2 * np.maximum(cos_half, 1e-5) ** 4)
         share, own = self.widened / a2, a2 - self.widened
-        density = (1 - share) * density + share * np.where(cos_half > 0, gaussian, 0)
         cl = np.maximum(cos_light, 1e-6)
-        visibility = self._visibility(cl, own)
         lit = (cos_light > 0) & (_dot(self.shading, direction) > 0) & (_dot(self.normal, self.to_eye) > 0)
-        lobe = np.where(lit, density * visibility * cl, 0.0)[:, None]
+        lobe = (1 - share) * np.where(lit, density * _visibility(cl, self.cos_eye, own) * cl, 0)
+        lobe += share * gaussian * self._spread_weight(direction, half, share, own)
+        lobe = lobe[:, None]
         return lobe * self._fresnel(cos_between)
+
+
+def _visibility(cos_light: np.ndarray, cos_eye: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Smith's height-correlated masking (N,) over 4 n.l n.v (Heitz 2014, equation 99); own: alpha squared."""
+    return 0.5 / (cos_light * np.sqrt(own + (1 - own) * cos_eye**2) + cos_eye * np.sqrt(own + (1 - own) * cos_light**2))
 
 
 def _shade_light(position: np.ndarray, normal: np.ndarray, material: _Material, light: Light) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,9 +86,17 @@ def _read(texels: np.ndarray, uv: np.ndarray, extension: str, width: np.ndarray 
 
 
 def filtered(
-    pyramid: list[np.ndarray], uv: np.ndarray, found: Footprint, extension: str = "REPEAT", closest: bool = False
+    pyramid: list[np.ndarray],
+    uv: np.ndarray,
+    found: Footprint,
+    extension: str = "REPEAT",
+    closest: bool = False,
+    finest: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> np.ndarray:
-    """(N,): the mean over the footprints at `uv` (N, 2) of a picture with these levels; its texels hold light."""
+    """(N,): the mean over the footprints at `uv` (N, 2) of a picture with these levels; its texels hold light.
+
+    finest: what the picture shows at places (N, 2), where that is not what its texels hold, interpolated.
+    """
     top, total = len(pyramid) - 1, np.zeros(len(uv))
     for tap in range(MOST_TAPS):
         which = np.flatnonzero(tap < found.taps)
@@ -95,7 +104,38 @@ def filtered(
         level = np.minimum(found.level[which], top)
         read = np.stack([_read(texels, at, extension, found.width[which] if closest and k == 0 else None)
                          for k, texels in enumerate(pyramid)])  # fmt: skip
+        if finest is not None:
+            read[0] = finest(at)
         k = np.minimum(np.floor(level).astype(int), top)
         each, share = np.arange(len(which)), level - k
         total[which] += read[k, each] * (1 - share) + read[np.minimum(k + 1, top), each] * share
     return total / found.taps
+
+
+def shown_normals(texels: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """(N, 3): x, y and 1 - z of unit normals that a repeated picture of normals (H, W, 3) shows at places (N, 2)."""
+    padded = [np.pad(texels[..., i].astype(float), 1) for i in range(3)]
+    n = np.stack([_read(plane, uv, "REPEAT") for plane in padded], axis=1)
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    return np.column_stack([n[:, :2], 1 - n[:, 2]])
+
+
+def shown_slopes(heights: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """(N, 4): slopes along u and v, and their squares, of repeated heights (H, W) at places (N, 2)."""
+    size = heights.shape[::-1]
+    p = uv * size - 0.5
+    low = np.floor(p).astype(int)
+    f = p - low
+    x, y = (np.stack([low[:, k], low[:, k] + 1]) % size[k] for k in (0, 1))
+    h = heights.astype(float)[y[:, None], x[None]]  # (2, 2, N) by row and column
+    across, up = h[:, 1] - h[:, 0], h[1] - h[0]
+    u = size[0] * (across[0] * (1 - f[:, 1]) + across[1] * f[:, 1])
+    v = size[1] * (up[0] * (1 - f[:, 0]) + up[1] * f[:, 0])
+    return np.column_stack([u, v, u * u, v * v])
+
+
+def mean_of_texels(shown: Callable[[np.ndarray], np.ndarray], size: tuple[int, int], points: int) -> np.ndarray:
+    """(H, W, C): the mean over each texel of a picture of (width, height) by so many points along each side."""
+    x, y = ((np.arange(side * points) + 0.5) / (side * points) for side in size)
+    uv = np.stack(np.meshgrid(x, y), axis=2).reshape(-1, 2)
+    return shown(uv).reshape(size[1], points, size[0], points, -1).mean(axis=(1, 3))

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from pointsplat_addon.core.material.baking import BORDER
-from pointsplat_addon.core.material.levels import laid_out, smaller_levels
+from pointsplat_addon.core.material.levels import Stored, laid_out, shown_normals, shown_slopes, smaller_levels
 from pointsplat_addon.render.device.packing import paged
 from pointsplat_addon.render.device.protocol import EMPTY, Device, Timer
 from pointsplat_addon.render.passes.shadow.kept_depths import depths_form, kept
@@ -187,6 +187,53 @@ def pictures_over_footprints(device: Device) -> Pixels:
                 twin = textures.filtered(pyramid, uv.astype(float), over, extension, closest)
                 off = np.abs(found[name][0, :, 0] - twin)
                 assert off.max() < 1e-4, name  # measured 2.7e-5
+    return found
+
+
+@case
+def bent_normals_over_footprints(device: Device) -> Pixels:
+    """Moments of normals and of heights in pictures are filtered as in float64."""
+    rng, count, found, size = np.random.default_rng(9), 2048, {}, (37, 22)
+    uv = rng.uniform(-1.7, 2.7, (count, 2)).astype(np.float32)
+    sides = (rng.normal(size=(count, 4)) * 10.0 ** rng.uniform(-3, 0.3, (count, 1))).astype(np.float32)
+    rows = np.zeros((2, count, 4), np.float32)
+    rows[0, :, :2], rows[1] = uv, sides
+    target = device.target([device.texture((count, 1), "RGBA32F")])
+    over = textures.footprint(sides[:, :2].astype(float), sides[:, 2:].astype(float), size)
+    normals = np.dstack([rng.uniform(-0.5, 0.5, (*size[::-1], 2)), np.ones(size[::-1]), np.zeros(size[::-1])])
+    heights = np.dstack([rng.uniform(0, 0.02, size[::-1]), np.ones(size[::-1])])
+    stored = Stored(False, False, False, False, "wrap")
+    for name, held, moments, shown, worst in (
+        ("normal", normals, lambda texels: shown_normals(texels, stored), textures.shown_normals, 1e-4),
+        ("height", heights, lambda texels: shown_slopes(texels[..., 0], 0, stored), textures.shown_slopes, 2e-4),
+    ):
+        texels = held.astype(np.float32)
+        levels = moments(texels)
+        at, data = paged(laid_out(smaller_levels(levels, 0)), 4)
+        picture = f"ps_baked_{name}"
+        program = Interface(
+            "bends",
+            fragment=path("bends.frag"),
+            samplers=(("FLOAT_2D", "rows"), ("FLOAT_2D", picture), ("FLOAT_2D", f"{picture}_levels")),
+            outputs=(("vec4", "color"),),
+        ).with_defines("PS_UV", "PS_LEVELS", "PS_SPREAD", picture.upper())
+        bound = {
+            "rows": device.texture((count, 2), "RGBA32F", rows.reshape(-1)),
+            picture: device.texture(size, "RGBA32F" if name == "normal" else "RG32F", texels.reshape(-1)),
+            f"{picture}_levels": device.texture(at, "RGBA32F", data),
+        }
+        device.draw(program, target, textures=bound)
+        found[name] = device.read(target.colors[0])
+        first = texels[..., :3] if name == "normal" else texels[..., 0]
+        for i in range(3 if name == "normal" else 4):
+
+            def finest(at: np.ndarray, i: int = i, first: np.ndarray = first, shown=shown) -> np.ndarray:
+                return shown(first, at)[:, i]
+
+            pyramid = textures.levels(levels[..., i].astype(float), "REPEAT")
+            twin = textures.filtered(pyramid, uv.astype(float), over, finest=finest)
+            off = np.abs(found[name][0, :, i] - twin) / max(np.abs(twin).max(), 1e-30)
+            assert off.max() < worst, f"{name} {i}: {off.max():.1e}"
     return found
 
 

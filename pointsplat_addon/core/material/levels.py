@@ -8,7 +8,7 @@ than the mean of decoded texels. Colours are multiplied by alpha where the mater
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -68,14 +68,14 @@ def shown_light(texels: np.ndarray, stored: Stored) -> np.ndarray:
         if stored.closest:
             shown = light.of(planes[:, rows])
         else:
-            shown = _mean_of_four(light, planes[:, rows.start : rows.stop + 2])
+            shown = _mean_of_four(light.of, planes[:, rows.start : rows.stop + 2])
         out[rows] = np.moveaxis(shown, 0, 2)
     return out
 
 
-def _mean_of_four(light: _Light, planes: np.ndarray) -> np.ndarray:
-    """(4, h, w): the mean of light at Gauss's points of the inner texels of (4, h + 2, w + 2)."""
-    total = np.zeros((4, planes.shape[1] - 2, planes.shape[2] - 2), np.float32)
+def _mean_of_four(shown: Callable[[np.ndarray], np.ndarray], planes: np.ndarray) -> np.ndarray:
+    """(C, h, w): the mean of what planes show at Gauss's points of the inner texels of (C, h + 2, w + 2)."""
+    total = np.zeros((len(planes), planes.shape[1] - 2, planes.shape[2] - 2), np.float32)
     middle = (1 - GAUSS) * planes[:, 1:-1]
     for beside in (planes[:, :-2], planes[:, 2:]):
         rows = GAUSS * beside
@@ -84,7 +84,7 @@ def _mean_of_four(light: _Light, planes: np.ndarray) -> np.ndarray:
         for columns in (rows[:, :, :-2], rows[:, :, 2:]):
             point = GAUSS * columns
             point += centre
-            total += light.of(point)
+            total += shown(point)
     total *= np.float32(0.25)
     return total
 
@@ -113,6 +113,54 @@ class _Light:
         if stored.weighted:
             color *= alpha
         return planes
+
+
+def shown_normals(texels: np.ndarray, stored: Stored) -> np.ndarray:
+    """(H, W, 4) float32: x, y, 1 - z and 0 of the mean, over each texel's square, of the unit normals that stored ones
+    (H, W, 4) in tangent space show, by four points of each, as `shown_light`.
+
+    The mean is the shorter, the more normals spread (Toksvig 2005). 1 - z keeps digits of flat ones in half floats.
+    """
+    out = np.zeros_like(texels)
+    planes = np.moveaxis(texels, 2, 0)[:3]
+    if not stored.closest:
+        planes = np.pad(planes, ((0, 0), (1, 1), (1, 1)), mode=stored.beyond)  # type: ignore[call-overload]
+    for low in range(0, len(texels), ROWS):
+        rows = slice(low, min(low + ROWS, len(texels)))
+        if stored.closest:
+            shown = _unit(np.array(planes[:, rows]))
+        else:
+            shown = _mean_of_four(_unit, planes[:, rows.start : rows.stop + 2])
+        out[rows, :, :3] = np.moveaxis(shown, 0, 2)
+    return out
+
+
+def _unit(planes: np.ndarray) -> np.ndarray:
+    """(3, ...): x, y and 1 - z of directions (3, ...), which may be changed; those of no length lead outwards."""
+    length = np.sqrt(np.square(planes).sum(axis=0))
+    planes /= np.where(length > 0, length, np.float32(1))
+    x, y, z = planes
+    side = x * x + y * y
+    planes[2] = np.where(z > 0, side / (1 + np.abs(z)), np.where(length > 0, 1 - z, np.float32(0)))
+    return planes
+
+
+def shown_slopes(heights: np.ndarray, border: int, stored: Stored) -> np.ndarray:
+    """(H, W, 4) float32: the means, over each texel's square, of the slopes along u and v that heights (H, W) show, and
+    of their squares (Olano and Baker 2010), by four points of each, as `shown_light`. border: texels around the unit
+    square."""
+    high, wide = (side - 2 * border for side in heights.shape)
+    padded = np.pad(heights, 1, mode=stored.beyond)  # type: ignore[call-overload]
+    along_u, along_v = np.diff(padded, axis=1) * np.float32(wide), np.diff(padded, axis=0) * np.float32(high)
+    out = np.zeros((*heights.shape, 4), np.float32)
+    inner, before, after = slice(1, -1), slice(None, -2), slice(2, None)
+    for column, next_column in ((slice(None, -1), before), (slice(1, None), after)):
+        for row, next_row in ((slice(None, -1), before), (slice(1, None), after)):
+            u = (1 - GAUSS) * along_u[inner, column] + GAUSS * along_u[next_row, column]
+            v = (1 - GAUSS) * along_v[row, inner] + GAUSS * along_v[row, next_column]
+            out += np.stack([u, v, u * u, v * v], axis=2)
+    out *= np.float32(0.25)
+    return out
 
 
 def smaller_levels(texels: np.ndarray, border: int) -> list[np.ndarray]:

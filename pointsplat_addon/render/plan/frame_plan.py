@@ -17,9 +17,7 @@ from ...core.numeric.record import record
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
 from ...core.scene.settings import Settings
-from ...core.scene.validation import validate
 from ...core.splat.blur import defocus_blur
-from ..cache.keys import Key, Kind
 from ..cache.on_disk import NOWHERE, OnDisk
 from ..cache.store import Store
 from ..device.clock import Clock
@@ -48,6 +46,7 @@ from .plan import Plan
 from .reasons import Absences, why_no_eye_dome, why_no_indirect, why_not_trained
 from .request import Request
 from .technique import Technique, TechniqueInput, confirm_technique, decide_technique, shown_alike
+from .valid import validated
 
 MOVING_SHADOWS, LEAST_SHADOWS = 4, 64  # part of the resolution of shadows while a view of scans read by pages moves
 MOST_MARGIN = 64  # pixels around the window in which the centres of wide splats are looked for
@@ -182,11 +181,7 @@ def make_frame_plan(
         # What casts changes with each picture, and maps are drawn anew.
         coarse = max(request.settings.shadow_resolution // MOVING_SHADOWS, LEAST_SHADOWS)
         request = replace(request, settings=replace(request.settings, shadow_resolution=coarse))
-    scene, camera = validate(
-        scene,
-        request.camera,
-        lambda contents, make: store.lookup_all([Key(Kind.VALIDATED, content) for content in contents], make),
-    )
+    scene, camera = validated(scene, request.camera, store)
     warnings = scene.warnings
     scene, of_parts = separate_translucent(scene, store)
     request = request if camera is request.camera else replace(request, camera=camera)

@@ -11,7 +11,7 @@
 #define PS_MATERIAL u.material
 #endif
 
-#if defined(PS_BAKED_COLOR) || defined(PS_BAKED_ALPHA) || defined(PS_BAKED_EMISSION) || defined(PS_BAKED_SURFACE)
+#if defined(PS_UV)
 // Of the material's pictures, which are of one size.
 vec2 ps_texels()
 {
@@ -19,8 +19,14 @@ vec2 ps_texels()
   return vec2(ps_picture_size(ps_baked_color));
 #elif defined(PS_BAKED_EMISSION)
   return vec2(ps_picture_size(ps_baked_emission));
-#else
+#elif defined(PS_BAKED_SURFACE)
   return vec2(ps_picture_size(ps_baked_surface));
+#elif defined(PS_BAKED_NORMAL)
+  return vec2(ps_picture_size(ps_baked_normal));
+#elif defined(PS_BAKED_HEIGHT)
+  return vec2(ps_picture_size(ps_baked_height));
+#else
+  return vec2(1.0);
 #endif
 }
 #endif
@@ -71,16 +77,61 @@ vec3 ps_slope(vec2 uv)
   return vec3(slope * vec2(size), mix(mix(low.y, right.y, f.x), mix(above.y, high.y, f.x), f.y));
 }
 
-// The normal n of a surface that is raised by the height at `uv` (Mikkelsen 2010), from how position (px, py) and UV (ux, uy)
-// change along two directions. `side`: -1 where the surface is seen from behind, which is raised towards the eye too.
-vec3 ps_raised(vec3 n, vec2 uv, float side, vec3 px, vec3 py, vec2 ux, vec2 uy)
+// Which ways a surface with the normal n tilts by slopes of 1 along u and v (Mikkelsen 2010), from how position (px, py) and
+// UV (ux, uy) change along two directions.
+mat2x3 ps_tilts(vec3 n, vec3 px, vec3 py, vec2 ux, vec2 uy)
 {
-  vec3 slope = ps_slope(uv);
   vec3 across = cross(py, n), along = cross(n, px);
   float d = dot(px, across);
-  vec3 rise = (dot(slope.xy, ux) * across + dot(slope.xy, uy) * along) / (abs(d) > 0.0 ? d : 1e30);
-  vec3 raised = ps_direction(n - side * rise, n);
+  d = abs(d) > 0.0 ? d : 1e30;
+  return mat2x3((ux.x * across + uy.x * along) / d, (ux.y * across + uy.y * along) / d);
+}
+
+// The normal n of a surface that is raised by a slope, of ps_slope. `side`: -1 where the surface is seen from behind, which is
+// raised towards the eye too.
+vec3 ps_raised(vec3 n, vec3 slope, float side, mat2x3 tilts)
+{
+  vec3 raised = ps_direction(n - side * (tilts * slope.xy), n);
   return ps_direction(mix(n, raised, max(slope.z, 0.0)), n);
+}
+#endif
+
+#if defined(PS_LEVELS) && defined(PS_SPREAD) && defined(PS_BAKED_NORMAL)
+// The mean over a footprint of what normals in a picture show, made unit: (x, y, 1 - z), which half floats hold of flat ones, too.
+vec3 ps_filtered_normal(vec2 uv, PsFootprint f)
+{
+  float share = clamp(f.level, 0.0, 1.0);  // of smaller levels
+  int fine_taps = share < 1.0 ? f.taps : 0, coarse_taps = share > 0.0 ? f.taps : 0;
+  vec2 first = uv - 0.5 * float(f.taps - 1) * f.step, at = first;
+  vec3 fine = vec3(0.0);
+  for (int i = 0; i < fine_taps; i++, at += f.step) {
+    vec3 n = ps_direction(ps_picture(ps_baked_normal, at).xyz, vec3(0.0, 0.0, 1.0));
+    fine += vec3(n.xy, n.z > 0.0 ? dot(n.xy, n.xy) / (1.0 + n.z) : 1.0 - n.z);
+  }
+  ivec2 size = ps_picture_size(ps_baked_normal);
+  vec3 coarse = ps_levels(ps_baked_normal_levels, size, first, f.step, coarse_taps, f.level).xyz;
+  return mix(fine, coarse, share) / float(f.taps);
+}
+#endif
+
+#if defined(PS_LEVELS) && defined(PS_SPREAD) && defined(PS_BAKED_HEIGHT)
+// The mean over a footprint of slopes along u and v, and of their squares.
+vec4 ps_filtered_slope(vec2 uv, PsFootprint f)
+{
+  float share = clamp(f.level, 0.0, 1.0);  // of smaller levels
+  int fine_taps = share < 1.0 ? f.taps : 0, coarse_taps = share > 0.0 ? f.taps : 0;
+  vec2 first = uv - 0.5 * float(f.taps - 1) * f.step, at = first;
+  vec4 fine = vec4(0.0);
+  for (int i = 0; i < fine_taps; i++, at += f.step) {
+    vec2 slope = ps_slope(at).xy;
+    fine += vec4(slope, slope * slope);
+  }
+  ivec2 size = ps_picture_size(ps_baked_height);
+  vec4 coarse = ps_levels(ps_baked_height_levels, size, first, f.step, coarse_taps, f.level);
+#ifdef PS_PICTURE_MIRROR
+  coarse.xy *= 1.0 - 2.0 * mod(floor(uv), 2.0);  // heights fall there where they rise
+#endif
+  return mix(fine, coarse, share) / float(f.taps);
 }
 #endif
 

@@ -28,6 +28,8 @@
 #define PS_TABLE_ROWS 32
 #define PS_SURFACE_ROW (PS_TABLE_ROWS + 1)
 #define PS_MIN_ALPHA 1e-3
+#define PS_WIDER_SUM 1.1
+#define PS_TURNED_BY 10.0  // over alpha squared
 
 struct PsSurface {
   vec3 base;
@@ -282,7 +284,10 @@ PsLobes ps_lobes(PsSurface surface, vec3 normal, vec3 plane, vec3 to_eye)
   // Squares of alpha are twice the variance of slopes along one direction.
   lobes.spread = surface.spread;
   lobes.widened = max(min(surface.spread, 1.0 - lobes.alpha * lobes.alpha), 0.0);
-  lobes.alpha = sqrt(lobes.alpha * lobes.alpha + lobes.widened);
+  // The sum of a GGX lobe's slopes and a Gaussian's is drawn as a mixture of both, whose peak is a quarter too high where neither
+  // is the wider one, unless that is a little wider than the sum. Of wide lobes, which normals turn more than they add slopes, it is not.
+  float own2 = lobes.alpha * lobes.alpha, both2 = own2 + lobes.widened;
+  lobes.alpha = min(sqrt(both2 + PS_WIDER_SUM * max(1.0 - PS_TURNED_BY * own2, 0.0) * own2 * lobes.widened / both2), 1.0);
   lobes.roughness = sqrt(lobes.alpha);
 #endif
   lobes.reflectance = vec3(reflected);

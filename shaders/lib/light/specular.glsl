@@ -47,7 +47,13 @@ float ps_own_alpha2(PsLobes lobes, float a2)
 #endif
 }
 
-// 2 n.l n.v over the share of both directions that is not masked, which correlate (Heitz 2014, equation 99).
+// 2 n.l n.v over the share of both directions that is not masked, which correlate (Heitz 2014, equation 99). `above`, `eye`: cosines
+// of the light and the eye to the normal. `rough2`: alpha squared.
+float ps_masked(float above, float eye, float rough2)
+{
+  return above * sqrt(rough2 + (1.0 - rough2) * eye * eye) + eye * sqrt(rough2 + (1.0 - rough2) * above * above);
+}
+
 float ps_masked(PsLobes lobes, vec3 direction, float above, float rough2)
 {
 #ifdef PS_TANGENT
@@ -55,10 +61,23 @@ float ps_masked(PsLobes lobes, vec3 direction, float above, float rough2)
   return above * sqrt(dot(alpha2, ps_parts2(lobes, lobes.to_eye))) +
          lobes.cos_eye * sqrt(dot(alpha2, ps_parts2(lobes, direction)));
 #else
-  return above * sqrt(rough2 + (1.0 - rough2) * lobes.cos_eye * lobes.cos_eye) +
-         lobes.cos_eye * sqrt(rough2 + (1.0 - rough2) * above * above);
+  return ps_masked(above, lobes.cos_eye, rough2);
 #endif
 }
+
+#ifdef PS_SPREAD
+// n.l over ps_masked and the cosine to the mean normal, of those normals among the spread that mirror the eye to the light: the mean
+// of a Gaussian of slopes, of which the half vector's is the sum with one of the material's own lobe. `along`: n.h; `share`: of the
+// spread among both variances. The pixel shows normals by their share of it, as their slopes do, and not by that of a rough
+// surface seen from aside: a mean normal's cosines made low highlights up to four times too bright.
+float ps_spread_weight(PsLobes lobes, vec3 direction, vec3 h, float along, float share, float rough2)
+{
+  vec3 n = lobes.reflecting + share * (h / max(along, 1e-6) - lobes.reflecting);
+  float cosine = inversesqrt(dot(n, n));
+  float above = dot(n, direction) * cosine, eye = max(dot(n, lobes.to_eye) * cosine, 1e-4);
+  return along > 0.0 && above > 0.0 ? cosine * above / ps_masked(above, eye, rough2) : 0.0;
+}
+#endif
 
 // Reflectance of what the half vector stands on, times the lobe's multiple scattering.
 vec3 ps_fresnel(PsLobes lobes, float cos_between)
@@ -92,8 +111,13 @@ vec3 ps_half_weight(PsLobes lobes, vec3 direction)
   float above = max(dot(lobes.reflecting, direction), 0.0), h2 = dot(h, h);
   float masked = ps_masked(lobes, direction, above, ps_own_alpha2(lobes, lobes.alpha * lobes.alpha));
   // v.h / n.h: the length of h cancels.
-  float turned = above > 0.0 ? 0.5 * h2 / max(dot(lobes.reflecting, h), 1e-6) : 0.0;
-  return ps_fresnel(lobes, min(0.5 * sqrt(h2), 1.0)) * (2.0 * above * turned / masked);
+  float along = dot(lobes.reflecting, h), turned = 0.5 * h2 / max(along, 1e-6);
+  float weight = above > 0.0 ? above / masked : 0.0;
+#ifdef PS_SPREAD
+  float a2 = lobes.alpha * lobes.alpha, share = lobes.widened / a2;
+  weight = mix(weight, ps_spread_weight(lobes, direction, h, along, share, ps_own_alpha2(lobes, a2)), share);
+#endif
+  return ps_fresnel(lobes, min(0.5 * sqrt(h2), 1.0)) * (2.0 * turned * weight);
 }
 
 // BSDF of the GGX lobe times n.l, where the lobe may be widened: a2 is its alpha squared. The half vector is left
@@ -119,6 +143,8 @@ vec3 ps_specular(PsLobes lobes, vec3 direction, float a2)
   float mean2 = a2;
   float density = a2 / (spread * spread);
 #endif
+  bool lit = cos_light > 0.0 && dot(lobes.normal, direction) > 0.0 && dot(lobes.reflecting, lobes.to_eye) > 0.0;
+  float lobe = lit ? density * above / masked : 0.0;
 #ifdef PS_SPREAD
   // Normals that are seen have no tails as those of a GGX lobe.
   float share = min(lobes.widened / mean2, 1.0);
@@ -128,9 +154,8 @@ vec3 ps_specular(PsLobes lobes, vec3 direction, float a2)
 #else
   float exponent = dot(sine, sine) / along2 / a2;
 #endif
-  density = mix(density, exp(-exponent) / (mean2 * along2 * along2), share);
+  float gaussian = exp(-exponent) / (mean2 * along2 * along2);
+  lobe = mix(lobe, gaussian * ps_spread_weight(lobes, direction, h, along, share, ps_own_alpha2(lobes, a2)), share);
 #endif
-  float lobe = density * h2 * h2 * above / (2.0 * PS_PI * masked);
-  bool lit = cos_light > 0.0 && dot(lobes.normal, direction) > 0.0 && dot(lobes.reflecting, lobes.to_eye) > 0.0;
-  return lit ? lobe * ps_fresnel(lobes, cos_between) : vec3(0.0);
+  return lobe > 0.0 ? lobe * h2 * h2 / (2.0 * PS_PI) * ps_fresnel(lobes, cos_between) : vec3(0.0);
 }

@@ -6,14 +6,18 @@
 struct PsNormals {
   vec3 sum;
   float count;
+  float within;  // sum of 1 minus the squared lengths of means over footprints
 };
 
-// Variance of slopes about the mean normal, both directions together, from so many samples of a distribution.
+// Variance of slopes about the mean normal, both directions together: from so many samples of a distribution, or from means
+// over footprints that fill the pixel.
 float ps_normal_spread(PsNormals normals)
 {
   vec3 mean = normals.sum / max(normals.count, 1.0);
-  float length2 = max(dot(mean, mean), 1e-4);
-  return normals.count > 1.5 ? max(1.0 - length2, 0.0) / length2 * normals.count / (normals.count - 1.0) : 0.0;
+  float within = normals.within / max(normals.count, 1.0);
+  float length2 = max(dot(mean, mean), 1e-4), between = max(1.0 - within - length2, 0.0);
+  between *= within > 0.0 ? 1.0 : normals.count / max(normals.count - 1.0, 1.0);
+  return (within + (normals.count > 1.5 ? between : 0.0)) / length2;
 }
 
 #if defined(PS_MEMBER_BITS) && !defined(PS_BAKED_NORMAL) && !defined(PS_BAKED_HEIGHT)
@@ -23,7 +27,7 @@ void ps_shade_by_keys(inout PsSurfel s, ivec2 pixel, int layer)
 {
   uvec2 codes = uvec2(texelFetch(ps_first, pixel, 0).x, texelFetch(ps_second, pixel, 0).x);
   ivec2 middle = ps_central_cell(pixel);
-  PsNormals normals = PsNormals(vec3(0.0), 0.0);
+  PsNormals normals = PsNormals(vec3(0.0), 0.0, 0.0);
   for (uvec2 members = ps_group_members(codes, uint(layer)); (members.x | members.y) != 0u;) {
     normals.sum += ps_key_normal(texelFetch(ps_keys, middle + ps_next_member(members), 0).x);
     normals.count += 1.0;

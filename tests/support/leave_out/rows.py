@@ -30,6 +30,7 @@ from tests.support.leave_out.scenes import (
     backlit,
     before_a_picture,
     behind_a_wall,
+    bent_picture,
     clear_smoke,
     coated,
     corner_colors,
@@ -170,6 +171,8 @@ ROWS: dict[str, Row] = {
     "hair, shadows": Row(hair, samples=8),
     "strands and a cube, shadows": Row(detailed_cases.strands, samples=4),
     "visibility buffer, polygons": Row(lambda: with_settings(solid_cases.cube(), technique="VISIBILITY")),
+    "visibility buffer, normals from a picture": Row(lambda: bent_picture(0.1), samples=16),
+    "visibility buffer, normals from a picture finer than pixels": Row(lambda: bent_picture(64.0), samples=16),
     "visibility buffer, small balls": Row(
         lambda: with_settings(solid_cases.balls(), technique="VISIBILITY"), COMBINED | {"depth"}
     ),

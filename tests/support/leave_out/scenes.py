@@ -87,6 +87,17 @@ def rough_picture(primitive: str) -> Case:
     return Case(build.scene((plane, build.moved()), table=build.materials(graphs=(graph,))), cameras.camera())
 
 
+def bent_picture(repeats: float) -> Case:
+    """A plane with a picture of normals, which repeats so many times a side."""
+    color = color_nodes.Color(texture_nodes.ImageTexture(input_nodes.UV(), build.picture()))
+    bent = normal_nodes.NormalMap(input_nodes.Constant((0.2,)), color, input_nodes.UV())
+    plane = meshes.plane_mesh(f"leave out: bent {repeats}", cells=16)
+    plane = replace(plane, uv={name: uv * np.float32(repeats) for name, uv in plane.uv.items()})
+    table = build.materials(graphs=(MaterialGraph(normal=bent),))
+    scene = build.scene((build.mesh(plane, "POLYGONS"), build.moved()), table=table)
+    return with_settings(Case(scene, cameras.camera()), technique="VISIBILITY")
+
+
 def glow() -> Case:
     """Points that only glow, under a light that they do not reflect."""
     cloud = clouds.sphere_cloud(emission=np.abs(clouds.sphere_points()).astype(np.float32))

@@ -151,15 +151,17 @@ class PolygonUploads:
         constants = (table.base_color[row].tobytes(), float(table.roughness[row]), float(table.metallic[row]))
         picture = functools.cache(lambda: baked(graph, LARGEST_PICTURE))
 
-        def textures(kind: type[Pictures | Levels]) -> dict[str, Texture]:
-            key = Key(Kind.TEXTURES, graph.digest, other=(*constants, emission, kind.__name__))
-            return scope.lookup(key, lambda: kind(scope.device, graph, picture(), table, row, emission)).textures
+        spread = self._plan.variant.spread and not {"PS_BAKED_NORMAL", "PS_BAKED_HEIGHT"}.isdisjoint(group.defines)
+
+        def textures(kind: type[Pictures | Levels], *more: bool) -> dict[str, Texture]:
+            key = Key(Kind.TEXTURES, graph.digest, other=(*constants, emission, kind.__name__, *more))
+            return scope.lookup(key, lambda: kind(scope.device, graph, picture(), table, row, emission, *more)).textures
 
         found = textures(Pictures)
         texels = max(max(texture.size) for texture in found.values())
         if spans.max(initial=0) * texels * LONGEST <= 1:
             return found
-        return {**found, **textures(Levels)}
+        return {**found, **textures(Levels, spread)}
 
     def _part_list(self, rows: np.ndarray) -> PartList | None:
         return PartList(self._scope.texture(rows), len(rows)) if len(rows) else None

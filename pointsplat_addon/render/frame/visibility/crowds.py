@@ -15,13 +15,12 @@ from ....core.numeric.lattice import lattice_of
 from ....core.numeric.pixel_filter import filter_reach
 from ....core.scene.camera import Camera
 from ....core.scene.scene import Scene
-from ....core.scene.validation import validate
-from ...cache.keys import Key, Kind
 from ...device.clock import Clock
 from ...passes.uniforms import SampleView, view_of
 from ...passes.visibility.buffer import VisibilityBuffer
 from ...plan.frame_plan import MOST_MARGIN, FramePlan, make_frame_plan
 from ...plan.request import Request
+from ...plan.valid import validated
 from ...prepare.meshes.crowd import FEWEST, Crowd, crowd_of, with_seen
 from ...prepare.prepare import Prepared
 from ..resources import FrameResources
@@ -50,9 +49,7 @@ def without_unseen(
     streamed = any(geometry.streamed is not None for geometry in scene.geometries)
     if len(scene.instances) < FEWEST or streamed or request.camera.aperture is not None:
         return scene, False
-    scene, camera = validate(
-        scene, request.camera, lambda content, make: store.lookup(Key(Kind.VALIDATED, content), make)
-    )
+    scene, camera = validated(scene, request.camera, store)
     crowd = crowd_of(scene, store)
     if crowd is None:
         return scene, False

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ....core.numeric.linear import are_similarities
-from ....core.numeric.pixel_filter import filter_reach, filter_weights
+from ....core.numeric.pixel_filter import MOVED, edge_share, filter_reach, filter_weights
 from ...device.protocol import Device, Target, Texture
 from ...passes.gbuffer import GBuffer, Variant
 from ...passes.grouping.groups import Leaders
@@ -232,6 +232,17 @@ class Visibility:
         if self._splats is not None:
             self._splats.write_attributes(variant, self._uploads.points.draws, view, shared, groups, leaders, out)
 
+    @property
+    def _moved(self) -> float:
+        """The share of a neighbour's weight that is left to a pixel where each is of one group: none in scenes with
+        things before or behind these that are weighed by themselves, whether a view shows them or not."""
+        scene = self._uploads.scene
+        clear = scene.materials.translucent is not None and bool(scene.materials.translucent.any())
+        others = any(one.volume is not None or one.captured is not None for one in scene.geometries)
+        if clear or others or scene.instances.matte is not None or self._plan.sub_samples < 2:
+            return 0.0
+        return MOVED * edge_share(self._plan.filter_size)
+
     def _spread(self, view: SampleView, tile: PictureTile, shaded: dict[str, Texture], sums: Target) -> None:
         """Adds what the groups show to the sums."""
         targets, groups = self._targets, self._targets.groups
@@ -248,6 +259,7 @@ class Visibility:
             behind,
             groups.places is not None,
             self._plan.defocus,
+            self._moved,
         )
         named = {"ps_starts": groups.starts, "ps_places": groups.places, "ps_behind": targets.behind}
         if fixed is None:

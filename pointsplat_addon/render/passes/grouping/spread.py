@@ -24,12 +24,14 @@ def spread_program(
     behind: bool,
     places: bool,
     focus: bool = False,
+    moved: float = 0.0,
 ) -> Interface:
     """Returns the program that adds the shaded groups to the sums.
 
     `combined`: the picture, not only passes beside it. `reach`: of the filter, in pixels. weights: of `filter_weights`,
     or None where a texture holds them. `behind`: open sub-samples show something. `places`: the list is not in the
     order of the pixels. `focus`: groups tell how much of them is in focus, and at which depth.
+    `moved`: the share of a neighbour's weight that is left to a pixel where each is of one group.
     """
     outputs = (*averaged_outputs(passes, combined), *((FOCUS_OUTPUT,) if focus else ()))
     shaded = tuple(("FLOAT_2D", name.replace("out_", "ps_")) for _, name in outputs)
@@ -44,7 +46,8 @@ def spread_program(
         samplers=(("UINT_2D", "ps_first"), ("UINT_2D", "ps_second"),
                   *(("FLOAT_2D", name) for name, on in read.items() if on), *shaded),
         defines=(("PS_SUB_SAMPLES", str(lattice.count)), ("PS_REACH", str(reach)),
-                 *((name, "1") for name in names), *constants),
+                 *((name, "1") for name in names), *constants,
+                 *((("PS_MOVED", f"{moved:.9g}"),) if moved > 0 else ())),
     )  # fmt: skip
 
 

@@ -8,14 +8,22 @@ import numpy as np
 
 from ....core.material.baking import BORDER, reading, split_bumps
 from ....core.material.graph import MaterialGraph
-from ....core.material.levels import Stored, interleaved, laid_out, shown_light, smaller_levels
+from ....core.material.levels import (
+    Stored,
+    interleaved,
+    laid_out,
+    shown_light,
+    shown_normals,
+    shown_slopes,
+    smaller_levels,
+)
 from ....core.scene.materials import MaterialTable
 from ...device.packing import paged
 from ...device.protocol import CHANNELS, Device, Texture
 
 LARGEST_PICTURE = 4096  # texels along a side of a baked picture
 LEVELS = "_levels"  # after a picture's sampler name: its smaller levels
-FILTERED = ("ps_baked_color", "ps_baked_surface", "ps_baked_emission")  # pictures that have these
+BENDING = {"ps_baked_normal": "RGBA16F", "ps_baked_height": "RGBA32F"}  # pictures whose levels hold moments: formats
 
 
 def baked_defines(graph: MaterialGraph, emission: bool) -> tuple[str, ...]:
@@ -103,7 +111,8 @@ class Pictures:
 
 
 class Levels:
-    """The smaller levels of a graph's pictures, as textures by sampler name. Normals and heights have none."""
+    """The smaller levels of a graph's pictures, as textures by sampler name. Those of normals and heights hold moments,
+    of unit normals and of slopes."""
 
     def __init__(
         self,
@@ -113,19 +122,25 @@ class Levels:
         table: MaterialTable,
         row: int,
         emission: bool,
+        spread: bool,
     ) -> None:
-        """`picture`: that of core.surface.appearance.baked."""
+        """`picture`: that of core.surface.appearance.baked. `spread`: the spread of normals is wanted."""
         constants, how = _constants(table, row), reading(graph)
         beyond = {"REPEAT": "wrap", "MIRROR": "symmetric"}.get(how.extension, "edge")
         self.textures: dict[str, Texture] = {}
         for name, (format, channels) in _samplers(graph, emission).items():
-            if name not in FILTERED:
+            if name in BENDING and not spread:
                 continue
             first, texels = channels[0], interleaved(picture, constants, channels)
-            if name != "ps_baked_surface":
-                weighted = "alpha" in graph.channels
-                held = Stored(first in how.encoded, first in how.associated, weighted, how.closest, beyond)
+            weighted = "alpha" in graph.channels
+            held = Stored(first in how.encoded, first in how.associated, weighted, how.closest, beyond)
+            if name == "ps_baked_normal":
+                texels = shown_normals(texels, held)
+            elif name == "ps_baked_height":
+                texels = shown_slopes(texels[..., 0], how.border, held)
+            elif name != "ps_baked_surface":
                 texels = shown_light(texels, held)
+            format = BENDING.get(name, format)
             levels = smaller_levels(texels, how.border)
             if levels:
                 size, data = paged(laid_out(levels), CHANNELS[format])

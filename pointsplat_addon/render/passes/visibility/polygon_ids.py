@@ -167,11 +167,11 @@ def surface_program(
     if any(on and not _ways(kind) & set(names) for kind, on in kinds.items()):
         samplers.append("ps_materials")
     averaged = not leaders.central and bool({"PS_BAKED_COLOR", "PS_BAKED_SURFACE", "PS_BAKED_EMISSION"} & set(names))
-    levels = level_samplers(group.textures, names) if averaged else []
-    samplers += levels
     keyed = variant.spread and "PS_PLACED_NORMAL" not in names
     read = ("ps_first", "ps_second") if averaged or keyed else ()
     bent = variant.spread and bool({"PS_BAKED_NORMAL", "PS_BAKED_HEIGHT"} & set(names))
+    levels = level_samplers(group.textures, names) if averaged or bent else []
+    samplers += levels
     read += ("ps_ids", "ps_depths") if averaged or bent else ()
     read += ("ps_keys",) if keyed and not bent else ()
     own: Fields = (("int", "first_triangle"), ("int", "last_triangle"), *(() if one else (("int", "slots"),)))
