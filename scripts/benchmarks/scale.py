@@ -1,10 +1,11 @@
 """What a picture costs as points, instances, triangles or objects grow, from the same view, by the visibility buffer.
 
-python -m scripts.benchmarks.scale [--data DIR] [--quick] [--shadows] [--only NAME] [--pictures FOLDER]
+python -m scripts.benchmarks.scale [--data DIR] [--quick] [--shadows] [--only NAME] [--pictures FOLDER] [--plot FILE]
 
 DIR/mesh/dragon_vrip_res2.ply.gz is Stanford's dragon; without --data the scene that it makes is left out.
 
-Processor time of a further picture, from a moved camera, and the exponent a of cost ~ n^a over each pair of sizes.
+Processor time of a further picture, from a moved camera, and the exponent a of cost ~ n^a over each pair of sizes. With
+--plot, which needs matplotlib, curves with the exponent that fits all of their sizes best.
 """
 
 from __future__ import annotations
@@ -208,6 +209,24 @@ def cases(quick: bool, data: Path | None) -> dict[str, Sizes]:
     return {name: dict(list(sizes.items())[: 2 if quick else None]) for name, sizes in found.items()}
 
 
+def plotted(curves: dict[str, list[tuple[int, float]]], path: Path) -> None:
+    """Saves curves of sizes and seconds, with the exponent of each, fitted by least squares."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(figsize=(8, 4.5), layout="constrained")
+    for name, points in curves.items():
+        count, seconds = np.array(points).T
+        exponent = np.polyfit(np.log(count), np.log(seconds), 1)[0] if len(points) > 1 else 0.0
+        axes.plot(count, seconds, marker="o", label=f"{name}: n^{exponent:.2f}")
+    axes.set(xscale="log", yscale="log", xlabel="points, instances, objects or triangles", ylabel="processor seconds")
+    axes.grid(which="both", alpha=0.3)
+    axes.legend()
+    figure.savefig(path, dpi=110)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="two sizes of each")
@@ -216,8 +235,10 @@ def main() -> None:
     parser.add_argument("--most", type=int, default=1 << 60, help="leave larger sizes out")
     parser.add_argument("--data", type=Path, metavar="DIR", help="folder with mesh/dragon_vrip_res2.ply.gz")
     parser.add_argument("--pictures", type=Path, metavar="FOLDER")
+    parser.add_argument("--plot", type=Path, metavar="FILE")
     options = parser.parse_args()
     measured = Measured(options.shadows)
+    curves: dict[str, list[tuple[int, float]]] = {}
     for name, sizes in cases(options.quick, options.data).items():
         if options.only and name not in options.only:
             continue
@@ -241,8 +262,11 @@ def main() -> None:
             )
             sys.stdout.flush()
             before = count, found["seconds"]
+            curves.setdefault(name, []).append(before)
             if options.pictures is not None:
                 save(options.pictures / f"{name}_{count}.png", first["image"])
+    if options.plot is not None:
+        plotted(curves, options.plot)
     measured.renderer.release()
     measured.device.release()
 
