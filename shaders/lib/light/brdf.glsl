@@ -1,6 +1,7 @@
 // The Principled BSDF without transmission and subsurface: GGX with multiple scattering over Lambert, and PS_COAT, a
 // clear layer above both. PS_BACKLIT: a share of the Lambert base is lit from the other side. PS_TINTED: the GGX lobe has a
-// tint. PS_GLOSS: its metallic share may have a colour other than the base's. PS_ROUGH_DIFFUSE, PS_TOON: the base may be other than Lambert's. PS_SHEEN: fibres above all: diffuse_lobes.glsl.
+// tint. PS_GLOSS: its metallic share may have a colour other than the base's. PS_ROUGH_DIFFUSE, PS_TOON: the base may be other
+// than Lambert's. PS_SHEEN: fibres above all: diffuse_lobes.glsl.
 // Reference and sources: core/light/bsdf.py. Reads ps_lights (rows 0 .. PS_TABLE_ROWS: the reflectance table).
 // PS_HAS_METAL: something is metallic. PS_ONE_SURFACE: nothing is, and roughness and eta are those of the whole scene.
 
