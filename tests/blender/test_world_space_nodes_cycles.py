@@ -1,4 +1,4 @@
-"""The Geometry and Object Info nodes: the values of Cycles where one object shows a material.
+"""The Geometry, Object Info and Point Info nodes: the values of Cycles where one object shows a material.
 
 Several objects: test_object_values_cycles.py.
 """
@@ -9,7 +9,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from pointsplat_addon.host.sync import Synchronizer
-from tests.support.blender.scenes import draw_beside_cycles, mesh_object, new_material, node, picture, sync
+from tests.support.blender.scenes import draw_beside_cycles, mesh_object, new_material, node, picture, pointcloud, sync
 
 OUTPUTS = [
     ("NewGeometry", "Position"),
@@ -59,6 +59,22 @@ def test_one_object_has_the_values_of_cycles(scene, tmp_path, kind, output):
     for scene.render.engine in ("CYCLES", "POINTSPLAT"):
         drawn.append(picture(scene, tmp_path)[..., :3])
     # Measured: 0.0005, of half floats
+    assert np.abs(drawn[1] - drawn[0]).max() < 0.001
+
+
+@pytest.mark.parametrize("output", ["Position", "Radius", "Random"])
+def test_points_have_the_values_of_cycles(scene, tmp_path, output):
+    """A ball within each pixel, of a cloud that is scaled alike along all axes."""
+    y, x = np.divmod(np.arange(32), 8)
+    place = np.stack([1.125 + 0.25 * x, 1.125 + 0.25 * y, np.zeros(32)], axis=1)
+    radius = np.random.default_rng(2).uniform(0.08, 0.12, 32)
+    shown = pointcloud("points", place / 1.25, radius=("FLOAT", "value", radius / 1.25))
+    shown.scale = (1.25,) * 3
+    shown.data.materials.append(material("PointInfo", output))
+    drawn = []
+    for scene.render.engine in ("CYCLES", "POINTSPLAT"):
+        drawn.append(picture(scene, tmp_path)[..., :3])
+    assert np.ptp(drawn[0]) > 0.015
     assert np.abs(drawn[1] - drawn[0]).max() < 0.001
 
 

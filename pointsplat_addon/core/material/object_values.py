@@ -11,8 +11,7 @@ COMPONENTS = {
     "matrix": 12,  # world_from_object, three rows of four
 }
 ATTRIBUTE = "attribute "  # begins the names of attributes, which are colours with alpha: type and name follow
-
-
+POINT_RADIUS, POINT_RANDOM = "point:radius", "point:random"  # attributes of points: outputs of the Point Info node
 SPACE = "space "  # begins the names of other objects' object_from_world, three rows of four: a number follows
 
 

@@ -16,6 +16,8 @@ import numpy as np
 from ...core.material.evaluation import Appearance, evaluate_materials
 from ...core.material.expression import Part, SampleInputs
 from ...core.material.graph import MaterialGraph, Needs, needs
+from ...core.material.nodes.procedural.hashes import point_numbers
+from ...core.material.object_values import POINT_RADIUS, POINT_RANDOM
 from ...core.numeric.record import record
 from ...core.numeric.vectors import column_ranges, each_block, moved_rows, put_rows, take_rows
 from ...core.scene.cloud import PointCloud, coherent_places
@@ -115,7 +117,8 @@ def read_pointcloud(
         _opacity(data) if imported else None,
         _velocity(data, motion) if motion > 0 else None,
         _kernel(data),
-        {a.name: attribute_as_color(a) for a in _color_attributes(data, wanted, imported)},
+        {a.name: attribute_as_color(a) for a in _color_attributes(data, wanted, imported)}
+        | _point_info(wanted, count, radii),
         _present((name, _read(data, name, "FLOAT2")) for name in wanted.uv if name is not None),
         _present((name, _grid(data, name)) for name in _grid_names(material.medium)),
     )
@@ -333,6 +336,16 @@ def _grid(data: Data, name: str) -> np.ndarray | None:
 def _present(named: Iterable[tuple[str, np.ndarray | None]]) -> dict[str, np.ndarray]:
     """The named arrays that are not None."""
     return {name: array for name, array in named if array is not None}
+
+
+def _point_info(wanted: Needs, count: int, radii: np.ndarray | None) -> dict[str, np.ndarray]:
+    """What materials read of Point Info, by attribute, (N, 4)."""
+    found = {}
+    if POINT_RANDOM in wanted.colors:
+        found[POINT_RANDOM] = point_numbers(count)
+    if POINT_RADIUS in wanted.colors and radii is not None:
+        found[POINT_RADIUS] = radii
+    return {name: np.repeat(value[:, None], 4, axis=1).astype(np.float32) for name, value in found.items()}
 
 
 def _color_attributes(data: Data, wanted: Needs, imported: bool) -> list[Any]:

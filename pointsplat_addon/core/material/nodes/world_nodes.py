@@ -29,6 +29,18 @@ class Transformed(Expression):
         return normalize_rows(np.where(turned.any(axis=1, keepdims=True), turned, vector))
 
 
+@record
+class Lengthened(Expression):
+    """A length (N, 1) of one space in another, along the diagonal (1, 1, 1), as Cycles has radii of points."""
+
+    length: Expression
+    matrix: Expression  # (N, 12): three rows of four
+
+    def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
+        diagonal = values[1].reshape(-1, 3, 4)[:, :, :3].sum(axis=2) / np.sqrt(np.float32(3))
+        return values[0] * np.linalg.norm(diagonal, axis=1, keepdims=True)
+
+
 def _turned(vectors: np.ndarray, matrices: np.ndarray) -> np.ndarray:
     """Vectors (N, 3) by matrices (N | 1, 3, 3)."""
     return vectors @ matrices[0].T if len(matrices) == 1 else np.einsum("nij,nj->ni", matrices, vectors)

@@ -67,6 +67,11 @@ def name_number(name: str) -> float:
     return float(unit_float(lookup3([np.array([word], np.uint32), np.zeros(1, np.uint32)]))[0])
 
 
+def point_numbers(count: int) -> np.ndarray:
+    """The pseudo-random numbers (N,) float32 in [0, 1] that Cycles gives to the points of an object, by their index."""
+    return unit_float(lookup3([np.arange(count, dtype=np.uint32), np.zeros(1, np.uint32)]))
+
+
 def float_words(*values: np.ndarray | float) -> list[np.ndarray]:
     """The bits of float32 values, of -0 those of 0."""
     return [(np.asarray(v, np.float32) + np.float32(0)).view(np.uint32) for v in values]

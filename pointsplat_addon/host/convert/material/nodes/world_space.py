@@ -6,7 +6,7 @@ import numpy as np
 
 from .....core.material.expression import Expression
 from .....core.material.nodes import color_nodes, input_nodes, math_nodes, view_nodes, world_nodes
-from .....core.material.object_values import SPACE, attribute_value
+from .....core.material.object_values import POINT_RADIUS, POINT_RANDOM, SPACE, attribute_value
 from .tree import NodeConverter, NodeReader, Outputs
 
 ZERO = input_nodes.Constant((0.0,))
@@ -125,9 +125,20 @@ def _object_info(node: NodeReader) -> Outputs:
     }
 
 
+def _point_info(node: NodeReader) -> Outputs:
+    """Of the point that a sample lies on, which is its middle; 0 elsewhere."""
+    radius, random = (color_nodes.Component(input_nodes.Attribute(name), 4) for name in (POINT_RADIUS, POINT_RANDOM))
+    return {
+        "Position": world_position(node),
+        "Radius": world_nodes.Lengthened(radius, _matrix(node)),
+        "Random": random,
+    }
+
+
 WORLD_SPACE: dict[str, NodeConverter] = {
     "ShaderNodeNewGeometry": _geometry,
     "ShaderNodeObjectInfo": _object_info,
+    "ShaderNodePointInfo": _point_info,
     "ShaderNodeCameraData": _camera_data,
     "ShaderNodeFresnel": _fresnel,
     "ShaderNodeLayerWeight": _layer_weight,
