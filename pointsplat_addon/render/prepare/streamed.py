@@ -130,7 +130,8 @@ def with_pages(
             )
     for scan in _files(scans):
         warnings += scan.warnings
-    arrivals = pool.arrivals
+    # Before pages are taken: one that comes meanwhile is drawn next time, and who waits must know.
+    arrivals, waiting = pool.arrivals, pool.is_busy(view)
     fits = {wish.key for wish in wishes[:fitting]}
     geometries, instances = list(scene.geometries), scene.instances
     names: list[str] = []
@@ -148,9 +149,7 @@ def with_pages(
     store.forget_streamed(tuple(names))
     read = np.array([(scan.read_pages, scan.read_bytes) for scan in _files(scans)]) - before
     pages, size = read.sum(axis=0).tolist()
-    found = Streamed(
-        len(wishes), drawn, points, pages, size, pool.is_busy(view), arrivals, tuple(dict.fromkeys(warnings))
-    )
+    found = Streamed(len(wishes), drawn, points, pages, size, waiting, arrivals, tuple(dict.fromkeys(warnings)))
     scene = replace(scene, geometries=tuple(geometries), instances=instances)
     return with_pixel_radii(scene, camera, of_pages=True), found
 

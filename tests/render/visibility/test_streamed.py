@@ -3,6 +3,7 @@
 import threading
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.plan.request import Request, Result
+from pointsplat_addon.render.prepare import streamed as streamed_pages
 from pointsplat_addon.render.prepare.streamed import with_pages
 from pointsplat_addon.stream.need import needed_pages
 from pointsplat_addon.stream.pool import POOL, PagePool
@@ -180,9 +182,8 @@ def test_clip_boxes_cut_pages_as_they_cut_points_in_memory(tmp_path: Path) -> No
     assert np.abs(found.pixels["combined"] - expected.pixels["combined"]).max() <= 1e-6
 
 
-def test_a_viewport_draws_what_is_there_and_then_the_rest(tmp_path: Path) -> None:
-    source, scene = paged(tmp_path)
-    source.seconds = 0.01
+def viewport_pictures(scene: Scene) -> list[int]:
+    """How many points each picture of a view has, until nothing is waited for."""
     request = Request(CAMERA, SETTINGS, frozenset({"combined"}), 17, interactive=True)
     renderer, shown, waiting = opengl(), [], True
     while waiting:
@@ -195,9 +196,32 @@ def test_a_viewport_draws_what_is_there_and_then_the_rest(tmp_path: Path) -> Non
         frame.release()
         if waiting:
             POOL.wait(5.0, seen)
+    return shown
+
+
+def test_a_viewport_draws_what_is_there_and_then_the_rest(tmp_path: Path) -> None:
+    source, scene = paged(tmp_path)
+    source.seconds = 0.01
+    shown = viewport_pictures(scene)
     assert shown[0] < shown[-1] == COUNT
     assert shown == sorted(shown)
     assert len(source.read_pages) == len(source.directory)
+
+
+def test_pages_that_come_while_others_are_taken_are_drawn_next(tmp_path: Path, monkeypatch) -> None:
+    source, scene = paged(tmp_path)
+    source.seconds = 0.01
+    taken = streamed_pages._shown
+
+    def slowly(*given: Any) -> Any:
+        found = taken(*given)
+        while POOL.is_busy(streamed_pages.VIEWPORT):
+            POOL.wait(5.0, POOL.arrivals)
+        return found
+
+    monkeypatch.setattr(streamed_pages, "_shown", slowly)
+    shown = viewport_pictures(scene)
+    assert shown[0] < shown[-1] == COUNT
 
 
 def test_the_first_picture_of_a_viewport_is_not_empty(tmp_path: Path) -> None:
