@@ -177,7 +177,17 @@ def color_alone(tree: bpy.types.NodeTree) -> None:
     tree.links.new(texture.outputs["Color"], surface(tree))
 
 
-GRAPHS = {f.__name__: f for f in (ramp, noise, empty, shaders, mirror_ball, stretched, color_alone)}
+def facing(tree: bpy.types.NodeTree) -> None:
+    """What depends on the angle to the eye: a world faces it everywhere."""
+    fresnel, weight, gradient, color = (new(tree, n) for n in ("Fresnel", "LayerWeight", "TexGradient", "CombineColor"))
+    fresnel.inputs["IOR"].default_value, weight.inputs["Blend"].default_value = 3.0, 0.8
+    for output, socket in zip((gradient.outputs["Fac"], *weight.outputs), color.inputs, strict=True):
+        tree.links.new(output, socket)
+    tree.links.new(color.outputs[0], background(tree).inputs["Color"])
+    tree.links.new(fresnel.outputs[0], background(tree).inputs["Strength"])
+
+
+GRAPHS = {f.__name__: f for f in (ramp, noise, empty, shaders, mirror_ball, stretched, color_alone, facing)}
 
 
 @pytest.mark.parametrize("name", GRAPHS)

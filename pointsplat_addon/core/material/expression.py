@@ -15,19 +15,11 @@ from functools import cached_property
 import numpy as np
 
 from ..numeric.record import record
+from ..scene.camera import Camera
 from .image import Image
 
 CHUNK = 1 << 16  # samples evaluated at once: temporaries stay in the processor's cache
 Part = slice | np.ndarray  # some of the samples: a slice of step 1, or (K,) indices
-
-
-@record
-class Eye:
-    """From where samples are seen."""
-
-    view_from_world: np.ndarray  # (4, 4) float64, rigid; the eye looks along -z
-    clip_from_view: np.ndarray  # (4, 4) float64, of the whole picture
-    perspective: bool
 
 
 @record
@@ -47,7 +39,7 @@ class SampleInputs:
     objects: dict[str, np.ndarray] = field(default_factory=dict)
     # (N,) bool: the side is seen where the triangle's normal does not point; None: nowhere
     backfacing: np.ndarray | None = None
-    eye: Eye | None = None
+    eye: Camera | None = None  # by which samples are seen; None: from anywhere
     count: int | None = None  # N; None: the length of any array given
     # The inputs at the ends of two conjugate half-diameters of each sample's splat: images are filtered that wide
     displaced: tuple[SampleInputs, SampleInputs] | None = None

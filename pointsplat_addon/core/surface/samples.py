@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..material.expression import Eye
 from ..numeric.record import record
 from ..numeric.vectors import blocks
+from ..scene.camera import Camera
 from ..scene.mesh import Mesh
 
 
@@ -24,7 +24,7 @@ class Samples:
     object: np.ndarray | None = None  # (N,) integers, rows of Mesh.objects; None: all lie on the first
     # (N,) bool: seen from where the triangle's normal does not point; None: nowhere
     backfacing: np.ndarray | None = None
-    eye: Eye | None = None  # from where all are seen; None: from anywhere
+    eye: Camera | None = None  # by which all are seen; None: from anywhere
 
     def __len__(self) -> int:
         return len(self.triangle)

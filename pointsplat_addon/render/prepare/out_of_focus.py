@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -103,6 +103,7 @@ class FocusSorter:
 
             def make(matrix: np.ndarray = matrix, mesh: Mesh = own) -> PointCloud:
                 samples = dicing.dice_triangles(mesh, rows, matrix, self.camera, self.tolerance, self.blur)
+                samples = replace(samples, eye=self.camera)
                 return point_cloud(mesh, samples, evaluate(mesh, samples, origin), table)
 
             self._add_diced(i, key, make, dicing.TRIANGLE_SHARE)
@@ -125,7 +126,8 @@ class FocusSorter:
     def _view_key(self, matrix: np.ndarray) -> tuple:
         """Returns the properties of the view that an instance's diced splats depend on; `matrix`: view from object."""
         camera = self.camera
-        return matrix.tobytes(), camera.clip_from_view.tobytes(), camera.window, self.blur, self.tolerance
+        seen = camera.view_from_world.tobytes(), camera.clip_from_view.tobytes()
+        return matrix.tobytes(), *seen, camera.window, self.blur, self.tolerance
 
     def _add_diced(self, instance: int, key: Key, make: Callable[[], PointCloud], share: float) -> None:
         """Adds splats that were diced for this view, each of which covers `share` of its ellipse."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pointsplat_addon.core.material.expression import Expression, Eye, SampleInputs, evaluate
+from pointsplat_addon.core.material.expression import Expression, SampleInputs, evaluate
 from pointsplat_addon.core.material.nodes.input_nodes import Constant, Coordinates
 from pointsplat_addon.core.material.nodes.view_nodes import (
     MEAN_COSINE,
@@ -14,6 +14,7 @@ from pointsplat_addon.core.material.nodes.view_nodes import (
     Reflectance,
     Reflected,
 )
+from pointsplat_addon.core.scene.camera import Camera
 
 POSITION, NORMAL = Coordinates("position"), Coordinates("normal")
 INCOMING = Incoming(POSITION)
@@ -22,17 +23,17 @@ CENTRE = np.array([0.3, -2.0, 1.0])
 FRONT, BACK = Constant((0.0,)), Constant((1.0,))
 
 
-def eye(perspective: bool = True) -> Eye:
+def eye(perspective: bool = True) -> Camera:
     """At CENTRE, turned at random; a picture of 90 degrees, or of 4 units."""
     axes, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
     axes *= np.sign(np.linalg.det(axes))
     view = np.eye(4)
     view[:3, :3], view[:3, 3] = axes, -axes @ CENTRE
     clip = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, -0.2], [0, 0, -1, 0]], float)
-    return Eye(view, clip if perspective else np.diag([0.5, 0.5, -0.01, 1]), perspective)
+    return Camera(view, clip if perspective else np.diag([0.5, 0.5, -0.01, 1]), (100, 100))
 
 
-def samples(of: Eye | None) -> SampleInputs:
+def samples(of: Camera | None) -> SampleInputs:
     rng = np.random.default_rng(5)
     normal = rng.normal(size=(500, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

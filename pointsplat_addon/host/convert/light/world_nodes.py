@@ -13,6 +13,7 @@ from ....core.sky.sky import Disc, Sky
 from ..material.images import convert_image
 from ..material.nodes.table import NODES
 from ..material.nodes.tree import NodeConverter, NodeReader, Outputs, TreeReader, UnsupportedNodeError
+from ..material.nodes.world_space import fresnel, layer_weight
 
 DIRECTION, BACK = input_nodes.Coordinates("position"), input_nodes.Coordinates("normal")
 ZERO, ONE, TWO, BLACK = (input_nodes.Constant(value) for value in ((0.0,), (1.0,), (2.0,), (0.0, 0.0, 0.0)))
@@ -124,12 +125,31 @@ def _attribute(node: NodeReader) -> Outputs:
     return _nothing()(node)
 
 
+def _facing(convert: Callable[[NodeReader, Expression, Expression], Outputs]) -> NodeConverter:
+    """A converter of nodes that depend on the angle to the eye: a world's normal points back to it."""
+
+    def facing(node: NodeReader) -> Outputs:
+        if node.linked("Normal"):
+            raise UnsupportedNodeError("reads a normal")
+        return convert(node, ONE, ZERO)
+
+    return facing
+
+
+def _without_camera(node: NodeReader) -> Outputs:
+    raise UnsupportedNodeError("cannot be evaluated")
+
+
 WORLD_NODES: dict[str, NodeConverter] = {
     "ShaderNodeTexCoord": _texture_coordinates,
     "ShaderNodeNewGeometry": _geometry,
     "ShaderNodeTexEnvironment": _environment,
     "ShaderNodeTexSky": _sky,
+    "ShaderNodeFresnel": _facing(fresnel),
+    "ShaderNodeLayerWeight": _facing(layer_weight),
+    "ShaderNodeCameraData": _without_camera,
     "ShaderNodeObjectInfo": _nothing(),
+    "ShaderNodePointInfo": _nothing(),
     "ShaderNodeParticleInfo": _nothing(),
     "ShaderNodeHairInfo": _nothing(),
     "ShaderNodeVertexColor": _nothing(),

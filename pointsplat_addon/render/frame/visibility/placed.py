@@ -14,7 +14,6 @@ from functools import partial
 
 import numpy as np
 
-from ....core.material.expression import Eye
 from ....core.numeric.lattice import Lattice
 from ....core.numeric.vectors import each_block, unit_rows
 from ....core.scene.mesh import Mesh
@@ -181,9 +180,7 @@ def footprints_in_view(
     scale = np.cbrt(np.abs(np.linalg.det(turn))).astype(np.float32)
     scale = np.divide(1, scale, out=np.ones_like(scale), where=scale > 0)
     found = footprints(mesh, triangle, _turned(turn, slot, position) + move[slot], *ways)
-    camera = view.camera
-    eye = Eye(camera.view_from_world, camera.clip_from_view, camera.perspective)
-    return replace(found, backfacing=backfacing, eye=eye), scale[slot]
+    return replace(found, backfacing=backfacing, eye=view.camera), scale[slot]
 
 
 def _turned(matrices: np.ndarray, slot: np.ndarray, vectors: np.ndarray) -> np.ndarray:

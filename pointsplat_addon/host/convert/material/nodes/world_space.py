@@ -60,24 +60,29 @@ def _camera_data(node: NodeReader) -> Outputs:
 
 
 def _cosine(node: NodeReader) -> Expression:
-    """Of the angle to the eye. Normals that are linked are in object space, as of bumps, or those of Geometry."""
+    """The cosine of the angle between the normal and the way to the eye, for Fresnel and Layer Weight.
+
+    A normal that is linked is in object space, as those of bumps are, or it is Geometry's.
+    """
     normal = node["Normal"] if node.linked("Normal") else input_nodes.Coordinates("normal")
     if not isinstance(normal, world_nodes.Transformed):
         normal = _world_normal(node, normal)
     return view_nodes.Cosine(view_nodes.Incoming(world_position(node)), normal)
 
 
-def _fresnel(node: NodeReader) -> Outputs:
-    return {"Fac": view_nodes.Reflectance(_cosine(node), node["IOR"], input_nodes.Backfacing())}
+def fresnel(node: NodeReader, cosine: Expression, backfacing: Expression) -> Outputs:
+    """The outputs of a Fresnel node. cosine: of the angle between the normal and the way to the eye."""
+    return {"Fac": view_nodes.Reflectance(cosine, node["IOR"], backfacing)}
 
 
-def _layer_weight(node: NodeReader) -> Outputs:
-    cosine, blend = _cosine(node), node["Blend"]
+def layer_weight(node: NodeReader, cosine: Expression, backfacing: Expression) -> Outputs:
+    """The outputs of a Layer Weight node, as of `fresnel`."""
+    blend = node["Blend"]
     one, least = (input_nodes.Constant((value,)) for value in (1.0, view_nodes.LEAST_INDEX))
     left = math_nodes.Math(math_nodes.Math(one, blend, ZERO, "SUBTRACT"), least, ZERO, "MAXIMUM")
     index = math_nodes.Math(one, left, ZERO, "DIVIDE")
     return {
-        "Fresnel": view_nodes.Reflectance(cosine, index, input_nodes.Backfacing()),
+        "Fresnel": view_nodes.Reflectance(cosine, index, backfacing),
         "Facing": view_nodes.Facing(cosine, blend),
     }
 
@@ -126,7 +131,7 @@ def _object_info(node: NodeReader) -> Outputs:
 
 
 def _point_info(node: NodeReader) -> Outputs:
-    """Of the point that a sample lies on, which is its middle; 0 elsewhere."""
+    """Place, radius and random number of the point that a sample lies on; 0 on meshes and strands."""
     radius, random = (color_nodes.Component(input_nodes.Attribute(name), 4) for name in (POINT_RADIUS, POINT_RANDOM))
     return {
         "Position": world_position(node),
@@ -140,6 +145,6 @@ WORLD_SPACE: dict[str, NodeConverter] = {
     "ShaderNodeObjectInfo": _object_info,
     "ShaderNodePointInfo": _point_info,
     "ShaderNodeCameraData": _camera_data,
-    "ShaderNodeFresnel": _fresnel,
-    "ShaderNodeLayerWeight": _layer_weight,
+    "ShaderNodeFresnel": lambda node: fresnel(node, _cosine(node), input_nodes.Backfacing()),
+    "ShaderNodeLayerWeight": lambda node: layer_weight(node, _cosine(node), input_nodes.Backfacing()),
 }
