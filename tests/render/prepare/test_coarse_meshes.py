@@ -83,3 +83,18 @@ def test_the_nearest_of_several_instances_decides(coarser):
     alone = drawn(build.scene((of, np.eye(4))))[1]
     both = drawn(build.scene((of, build.moved((1.2, -2, 0))), (of, build.moved((-1.2, 0, 0)))))[1] / 2
     assert alone < both
+
+
+def test_the_area_of_a_divided_mesh_is_told_by_some_of_its_triangles():
+    """Parts of twelve sizes in turns: every twelfth triangle, or every 144th, is of one size."""
+    corner = np.linspace(0.1, 1.2, 12, dtype=np.float32)
+    position = np.zeros((12, 3, 3), np.float32)
+    position[:, 1, 0] = position[:, 2, 1] = corner
+    mesh = Mesh(
+        "turns",
+        "Turns",
+        np.tile(position.reshape(-1, 3), (16384, 1)),
+        np.arange(12 * 3 * 16384, dtype=np.int32).reshape(-1, 3),
+    )
+    _, _, found = coarse._survey(mesh)
+    assert abs(found / (16384 * 0.5 * float((corner.astype(float) ** 2).sum())) - 1) < 0.01  # measured 0.0007

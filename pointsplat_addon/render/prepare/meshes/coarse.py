@@ -12,6 +12,7 @@ import numpy as np
 
 from ....core.lod.nodes.clusters import area, clustered
 from ....core.numeric.lattice import MANY, lattice_for
+from ....core.numeric.vectors import golden_ratio_sequence
 from ....core.scene.mesh import Mesh
 from ....core.surface.appearance import graphs_of, passing
 from ...cache.keys import Key, Kind
@@ -51,8 +52,8 @@ def coarse_mesh(view: View, measured: MeasuredMesh, view_from_object: np.ndarray
 
     def make() -> Mesh | None:
         view.check()
-        found = clustered(mesh, edge)
-        return found if LEAST_AREA * surface <= area(found) <= MOST_AREA * surface else None
+        found, whole = clustered(mesh, edge), area(mesh)
+        return found if LEAST_AREA * whole <= area(found) <= MOST_AREA * whole else None
 
     key = Key(Kind.COARSE_MESH, measured.geometry.key, spacing=edge)
     if view.interactive and not store.made_later(key, make):
@@ -63,11 +64,14 @@ def coarse_mesh(view: View, measured: MeasuredMesh, view_from_object: np.ndarray
 def _survey(mesh: Mesh) -> tuple[bool, np.ndarray, float]:
     """Returns whether triangles have one normal each, some vertices, (n, 3) float64, and the area; by some of the
     triangles."""
-    step = max(len(mesh.triangles) // PLACES, 1)
-    places = mesh.position[:: max(len(mesh.position) // PLACES, 1)].astype(np.float64)
-    normals = None if mesh.corner_normal is None else mesh.corner_normal[::step]
+    # Not by every n-th: divided meshes have parts of several sizes in turns.
+    vertices, rows = (
+        (golden_ratio_sequence(np.arange(min(PLACES, count))) * count).astype(np.int64)
+        for count in (len(mesh.position), len(mesh.triangles))
+    )
+    normals = None if mesh.corner_normal is None else mesh.corner_normal[rows]
     flat = mesh.vertex_normal is None and (normals is None or bool((normals == normals[:, :1]).all()))
-    return flat, places, area(mesh, step)
+    return flat, mesh.position[vertices].astype(np.float64), area(mesh, rows)
 
 
 def _pixel(view: View, places: np.ndarray, view_from_object: np.ndarray) -> float:
