@@ -10,19 +10,34 @@
 #define PS_SIDE (2 * PS_REACH + 1)
 #define PS_NEIGHBOURS (PS_SIDE * PS_SIDE)
 
-void ps_add(float weight, ivec2 texel)
+// What is left to the pixel is added as a difference, so that what is the same everywhere stays so to the last bit.
+#ifdef PS_MOVED
+#define PS_ADD(sum, values) \
+  { \
+    vec4 value = texelFetch(values, texel, 0); \
+    sum += weight * value; \
+    if (leaves > 0.0) { \
+      sum += leaves * (texelFetch(values, own_texel, 0) - value); \
+    } \
+  }
+#else
+#define PS_ADD(sum, values) sum += weight * texelFetch(values, texel, 0);
+#endif
+
+// weight: of the values in `texel`; leaves: how much of it is left to those in `own_texel`.
+void ps_add(float weight, ivec2 texel, float leaves, ivec2 own_texel)
 {
 #ifndef PS_AUXILIARY_ONLY
-  out_combined += weight * texelFetch(ps_combined, texel, 0);
+  PS_ADD(out_combined, ps_combined)
 #endif
 #ifdef PS_OUT_NORMAL
-  out_normal_pass += weight * texelFetch(ps_normal_pass, texel, 0);
+  PS_ADD(out_normal_pass, ps_normal_pass)
 #endif
 #ifdef PS_OUT_MIST
-  out_mist += weight * texelFetch(ps_mist, texel, 0);
+  PS_ADD(out_mist, ps_mist)
 #endif
 #ifdef PS_FOCUS
-  out_focus += weight * texelFetch(ps_focus, texel, 0);
+  PS_ADD(out_focus, ps_focus)
 #endif
 }
 
@@ -46,10 +61,11 @@ void main()
 #endif
   ivec2 pixel = ivec2(gl_FragCoord.xy) - u.corner, last = textureSize(ps_second, 0) - 1;
   ivec2 away = ivec2(-PS_REACH);
+  ivec2 own_texel = ivec2(0);
 #ifdef PS_MOVED
   uvec2 own = uvec2(texelFetch(ps_first, pixel, 0).x, texelFetch(ps_second, pixel, 0).x);
   bool alone = (own.y & PS_UNIFORM) != 0u && ps_group_count(own) == 1;
-  float moved = 0.0;
+  own_texel = ps_group_texel(int(texelFetch(ps_starts, pixel, 0).x));
 #endif
   for (int q = 0; q < PS_NEIGHBOURS; q++) {
     ivec2 at = clamp(pixel + away, ivec2(0), last);
@@ -63,10 +79,9 @@ void main()
 #else
     shares.x = whole ? texelFetch(ps_weights, ivec2(PS_SUB_SAMPLES, q), 0).x : 0.0;
 #endif
+    float leaves = 0.0;
 #ifdef PS_MOVED
-    float leaves = alone && whole && count == 1 ? PS_MOVED * shares.x : 0.0;
-    moved += leaves;
-    shares.x -= leaves;
+    leaves = alone && whole && count == 1 ? PS_MOVED * shares.x : 0.0;
 #endif
     // A loop ends where no invocation goes on; both sides of a branch would be run.
     int separate = whole ? 0 : PS_SUB_SAMPLES;
@@ -83,7 +98,7 @@ void main()
       float weight = layer == 0 ? shares.x : (layer == 1 ? shares.y : (layer == 2 ? shares.z : shares.w));
       open_weight -= weight;
       if (weight > 0.0) {
-        ps_add(weight, ps_group_texel(first + layer));
+        ps_add(weight, ps_group_texel(first + layer), leaves, own_texel);
       }
     }
 #ifdef PS_BEHIND
@@ -102,9 +117,4 @@ void main()
     }
 #endif
   }
-#ifdef PS_MOVED
-  if (moved > 0.0) {
-    ps_add(moved, ps_group_texel(int(texelFetch(ps_starts, pixel, 0).x)));
-  }
-#endif
 }

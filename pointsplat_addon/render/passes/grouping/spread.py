@@ -47,7 +47,7 @@ def spread_program(
                   *(("FLOAT_2D", name) for name, on in read.items() if on), *shaded),
         defines=(("PS_SUB_SAMPLES", str(lattice.count)), ("PS_REACH", str(reach)),
                  *((name, "1") for name in names), *constants,
-                 *((("PS_MOVED", f"{moved:.9g}"),) if moved > 0 else ())),
+                 *((("PS_MOVED", f"{moved:.6g}"),) if moved > 0 else ())),
     )  # fmt: skip
 
 
