@@ -1,4 +1,5 @@
-// Two triangles (one where all are captured) that hold a lit splat's ellipse up to the rim of its kernel. Layout: render/passes/translucent/page.py.
+// Two triangles (one where all are captured, or a point with PS_POINTS) that hold a lit splat's ellipse up to the rim of its
+// kernel. Layout: render/passes/translucent/page.py.
 // u.turn: the first column of the matrix that takes pixels to texels of the target, which turns and scales them; u.origin:
 // where pixel coordinates (0, 0) lie there. PS_LISTED: not all splats are drawn, but those of ps_listed.
 
@@ -64,7 +65,12 @@ void main()
 #else
 void main()
 {
+#ifdef PS_POINTS
+  int index = u.first + gl_VertexID;
+  gl_PointSize = 1.0;
+#else
   int index = u.first + gl_VertexID / 6;
+#endif
   ivec2 at = ivec2(index & 4095, index >> 12);
 #ifdef PS_LISTED
   at = ivec2(texelFetch(ps_listed, at, 0).xy);
@@ -113,6 +119,14 @@ void main()
 #endif
 #endif
 
+#ifdef PS_POINTS
+  // A square over what is wanted of the ellipse's box, whose middle lies in the picture: points with others are not drawn.
+  vec2 reach = rim * sqrt(max(c.xz, 0.0));
+  vec2 low = max(v_centre - reach, u.bounds.xy), high = min(v_centre + reach, u.bounds.zw), side = high - low;
+  bool seen = centre.w > 0.0 && side.x > 0.0 && side.y > 0.0;
+  gl_PointSize = max(max(side.x, side.y), 1.0);
+  gl_Position = seen ? vec4((low + high) / vec2(u.size) - 1.0, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
+#else
   // Along the ellipse's axes where that saves much; else along the picture's, which rasterisers fill faster.
   float middle = 0.5 * (c.x + c.z), apart = 0.5 * (c.x - c.z), root = length(vec2(apart, c.y));
   float narrow = middle - root;
@@ -135,5 +149,6 @@ void main()
 #endif
   vec2 clip = pixel / vec2(u.size) * 2.0 - 1.0;
   gl_Position = centre.w > 0.0 ? vec4(clip, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
+#endif
 }
 #endif

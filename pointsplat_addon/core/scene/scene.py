@@ -91,6 +91,7 @@ class Geometry:
     extinction: float = 0.0  # of this geometry's points, per object unit; 0 takes it from the material
     lighting: str = "CAPTURED"  # of captured splats: one of LIGHTINGS
     pixel_radius: float = 0.0  # pixels: radius of a cloud's points in each view (splat/pixel_radii); 0: their own
+    cells: np.ndarray | None = None  # (N, 3) int, of a cloud that was a volume: the lattice's cell of each point
 
 
 @record

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..numeric.vectors import column_ranges
+
 ROWS = 1 << 20  # voxels that are handled together: temporary arrays stay small
 
 
@@ -25,8 +27,8 @@ def lattice_keys(index: np.ndarray, low: np.ndarray, extent: np.ndarray) -> np.n
 
 def index_bounds(index: np.ndarray, margin: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """The low corner (3,) and extent (3,) int64 of the box of indices (N, 3), N > 0, with a margin on all sides."""
-    low = index.min(axis=0).astype(np.int64) - margin
-    return low, index.max(axis=0) - low + 1 + margin
+    low, high = (corner.astype(np.int64) for corner in column_ranges(index))
+    return low - margin, high - low + 1 + 2 * margin
 
 
 def group_equal_rows(index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

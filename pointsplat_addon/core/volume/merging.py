@@ -19,14 +19,15 @@ def merge_level(matrix: np.ndarray, spacing: float) -> int:
 
 def merge_blocks(
     index: np.ndarray, found: Optics, shading: np.ndarray | None, level: int
-) -> tuple[np.ndarray, Optics, np.ndarray | None]:
-    """Merges blocks of 2^level voxels to a side: (K, 3) float64 indices of centres of mass, mean optics, and mean
-    normals.
+) -> tuple[np.ndarray, np.ndarray, Optics, np.ndarray | None]:
+    """Merges blocks of 2^level voxels to a side: (K, 3) float64 indices of centres of mass, (K, 3) int indices of the
+    blocks, mean optics, and mean normals.
 
     Means are over the block's volume, so that mass stays. Blocks lie on a lattice through index 0 whatever is active,
     and do not swim in animations.
     """
-    order, first = group_equal_rows(index >> level)
+    blocks = index >> level
+    order, first = group_equal_rows(blocks)
     voxels = 8.0**level
     inside = np.diff(np.append(first, len(index)))
 
@@ -52,4 +53,4 @@ def merge_blocks(
         shading = normalise(total(shading * weight[:, None].astype(np.float32)))
     # An index is a voxel's centre in the finer lattice; so the finer matrix also gives the position of the merged
     # splat.
-    return total(index * weight[:, None]) / mass, merged, shading
+    return total(index * weight[:, None]) / mass, blocks[order[first]], merged, shading

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..numeric.vectors import column_ranges
 from ..scene.cloud import PointCloud
 from ..scene.volume import Medium, Volume
 from ..splat.kernel import EVEN_SPACING
@@ -25,8 +26,9 @@ MOST_EDGE_DEPTH = 1e6  # optical depth along a voxel's edge at which extinction 
 
 def volume_splats(
     volume: Volume, medium: Medium | None = None, extinction: float = 0.0, spacing: float = 0.0
-) -> tuple[PointCloud, list[str]]:
-    """One splat for each voxel that has any effect, in object space, and warnings that name the object.
+) -> tuple[PointCloud, np.ndarray, list[str]]:
+    """One splat for each voxel that has any effect, in object space; the lattice's cells that they stand for, (N, 3)
+    int; and warnings that name the object.
 
     medium: what fills the volume where it has no transfer function; None is Blender's default, a Principled Volume.
     extinction: instead of the medium's (or the transfer function's) density; 0 takes theirs. spacing: distance of
@@ -47,9 +49,9 @@ def volume_splats(
         seen = np.zeros(len(index), bool) if grid is None else any_channel(np.isfinite(grid))
     if not seen.all():
         index, found, shading = index[seen], _take(found, seen), None if shading is None else shading[seen]
-    level = merge_level(matrix, spacing)
+    level, cells = merge_level(matrix, spacing), index
     if level > 0 and len(index):
-        index, found, shading = merge_blocks(index, found, shading, level)
+        index, cells, found, shading = merge_blocks(index, found, shading, level)
     position, origin = _positions(index, matrix)
     normal, axis, radii = _splat_shape(matrix[:3, :3] * 2.0**level, len(index))
     share, edge = np.float32(VOXEL_SHARE), max(np.cbrt(abs(np.linalg.det(matrix[:3, :3]))), 1e-30)
@@ -66,7 +68,7 @@ def volume_splats(
         material=np.full(len(index), volume.material, np.uint16) if volume.material else None,
         value=found.value,
     )
-    return cloud, warnings
+    return cloud, cells, warnings
 
 
 # Positions and shapes
@@ -76,10 +78,14 @@ def _positions(index: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, np.nd
     """Positions (N, 3) float32 relative to an origin (3,) float64, of indices (N, 3) in object space."""
     if len(index) == 0:
         return np.empty((0, 3), np.float32), matrix[:3, 3].copy()
-    middle = np.round((index.min(axis=0).astype(np.float64) + index.max(axis=0)) / 2)
-    position = np.empty((len(index), 3), np.float32)
+    low, high = column_ranges(index)
+    middle = np.round((low.astype(np.float64) + high) / 2)
+    position = np.zeros((len(index), 3), np.float32)
+    # Column by column, since few matrices turn: of 0 is nothing to be added.
     for i in range(0, len(index), ROWS):
-        position[i : i + ROWS] = (index[i : i + ROWS] - middle) @ matrix[:3, :3].T
+        block = (index[i : i + ROWS] - middle).T.copy()
+        for k, row in enumerate(matrix[:3, :3]):
+            position[i : i + ROWS, k] = sum(share * block[j] for j, share in enumerate(row.tolist()) if share)
     return position, matrix[:3, :3] @ middle + matrix[:3, 3]
 
 

@@ -35,6 +35,7 @@ class Kind(Enum):
     CLEAN_STRANDS = auto()  # without what cannot be drawn
     CROSSED_HAIRS = auto()  # how many hairs light crosses
     VOXELS = auto()  # the points of a volume
+    EVEN_BLOCKS = auto()  # those with even blocks merged, up to a level
     BOX = auto()  # corners of what holds a geometry with its radii
     # Clouds of points
     MESH_POINTS = auto()  # samples with their attributes

@@ -55,7 +55,7 @@ class LitTranslucent:
             program = light_program(plan.translucent, plan.lighting, plan.materials, splats.shared_lights)
             count = splats.count
         captured = 0 if uploads.captured is None or uploads.captured.picture is not None else uploads.captured.most
-        self.lit = LitSplats(device, plan.translucent, program, count, samples, captured)
+        self.lit = LitSplats(device, plan.translucent, program, count, samples, captured, plan.widest_translucent)
         self.captured = uploads.captured
 
     def light(self, points: int, view: SampleView) -> None:

@@ -109,6 +109,7 @@ def make_plan(view: ViewToPlan) -> Plan:
         background=_background(view),
         data=_data(view, kinds),
         translucent=translucent,
+        widest_translucent=view.prepared.widest_translucent,
         coarse=_coarse_translucent(view, translucent),
         ewa=ewa,
         world=_behind(view),

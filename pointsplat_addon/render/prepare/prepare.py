@@ -6,6 +6,7 @@ views and frames. Only the cut depends on the view.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -39,6 +40,7 @@ from .out_of_focus import FocusSorter, OutOfFocusLayer
 from .point_sets import Layer, PointSet, cloud_points, largest_radius, point_counts, set_ball, typical_diameter
 from .separation import is_translucent
 from .view import View
+from .volumes import with_even_blocks
 
 WIDE_BALL = 2.0  # pixels of radius: means of wider balls that overlap would show
 
@@ -61,6 +63,7 @@ class Prepared(Layer):
     captured: tuple[int, ...] = ()  # instances of captured splats, those of one geometry together
     captured_nodes: dict[int, CapturedNodes] = field(default_factory=dict)  # by row of geometries
     out_of_focus: OutOfFocusLayer | None = None  # then all other primitives are those in focus
+    widest_translucent: float = math.inf  # as `largest`, of translucent splats
     panes: np.ndarray = field(
         default_factory=lambda: np.empty(0, np.int64)
     )  # (P,): instances drawn as layers of triangles
@@ -137,10 +140,17 @@ def prepare(
         strands,
         captured=captured,
         captured_nodes=captured_nodes(view, captured, view_from_object),
+        widest_translucent=_widest_translucent(view, behind, view_from_object),
         panes=drawn.panes,
         coarse=drawn.coarse,
         out_of_focus=_out_of_focus(focus, behind),
     )
+
+
+def _widest_translucent(view: View, behind: Layer, view_from_object: np.ndarray) -> float:
+    if not behind.point_sets:
+        return 0.0
+    return largest_radius(behind.point_sets, behind.set_of_instance, view_from_object, view.camera, view.store)
 
 
 def with_coarse_meshes(scene: Scene, prepared: Prepared) -> Scene:
@@ -262,8 +272,10 @@ def _primitives(
     """
     none = np.empty(0, np.int64)
     if geometry.cloud is not None:
-        every = np.arange(len(view_from_object))
-        return Primitives([(cloud_points(view, geometry, geometry.cloud), every)], none)
+        points = cloud_points(view, geometry, geometry.cloud)
+        if geometry.cells is not None:
+            points = with_even_blocks(view, geometry, points, view_from_object)
+        return Primitives([(points, np.arange(len(view_from_object)))], none)
     measured = measured_mesh(view, geometry)
     if measured is None:
         return Primitives([], none)

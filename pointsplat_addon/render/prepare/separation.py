@@ -76,22 +76,24 @@ def _volume_as_points(
     key = f"{geometry.key} as {_digest(medium, volume.transfer, geometry.extinction, geometry.spacing)}"
 
     def make() -> _VolumePoints:
-        made, found = voxels.volume_splats(volume, medium, geometry.extinction, geometry.spacing)
+        made, cells, found = voxels.volume_splats(volume, medium, geometry.extinction, geometry.spacing)
         # Transforms can take voxels out of the range of float32.
         cloud, dropped = valid_points(made)
         found += [f"{geometry.name}: {dropped} points that are not finite were left out"] if dropped else []
-        return _VolumePoints(cloud, found)
+        return _VolumePoints(cloud, None if dropped else cells, found)
 
     points = store.lookup(Key(Kind.VOXELS, key), make)
     warnings += points.warnings
-    return replace(geometry, key=key, volume=None, cloud=points.cloud, lattice=f"{volume.key} {geometry.spacing}")
+    lattice = f"{volume.key} {geometry.spacing}"
+    return replace(geometry, key=key, volume=None, cloud=points.cloud, lattice=lattice, cells=points.cells)
 
 
 class _VolumePoints:
     """The points of a volume and the warnings of making them, as the store keeps them."""
 
-    def __init__(self, cloud: PointCloud, warnings: list[str]) -> None:
-        self.cloud, self.warnings, self.nbytes = cloud, warnings, cloud.nbytes
+    def __init__(self, cloud: PointCloud, cells: np.ndarray | None, warnings: list[str]) -> None:
+        self.cloud, self.cells, self.warnings = cloud, cells, warnings
+        self.nbytes = cloud.nbytes + (0 if cells is None else cells.nbytes)
 
 
 def _digest(*things: Any) -> str:

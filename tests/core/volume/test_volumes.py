@@ -63,7 +63,7 @@ def optical_depth(cloud, start, direction):
 
 def slab_depths(matrix, shape, angle, spacing=0.0, count=200):
     """Optical depths of rays at an angle through the middle of a slab of extinction 1, over the exact ones."""
-    cloud, warnings = volume_splats(block(shape, matrix), WHITE, spacing=spacing)
+    cloud, _, warnings = volume_splats(block(shape, matrix), WHITE, spacing=spacing)
     assert not warnings
     edges = np.diag(matrix)[:3]
     middle = matrix[:3, 3] + edges * (np.array(shape) - 1) / 2
@@ -97,9 +97,9 @@ def test_merging_keeps_mass_and_its_centre():
     density = random.random(np.count_nonzero(keep)).astype(np.float32)
     volume = replace(volume, index=volume.index[keep] - 3, grids={"density": density})
     medium = Medium(color=np.array([0.9, 0.5, 0.2]), absorption=np.array([0.0, 0.3, 0.6]))
-    fine, _ = volume_splats(volume, medium)
+    fine, _, _ = volume_splats(volume, medium)
     for spacing in (0.2, 0.41, 0.9):
-        coarse, _ = volume_splats(volume, medium, spacing=spacing)
+        coarse, _, _ = volume_splats(volume, medium, spacing=spacing)
         assert len(coarse) < len(fine)
         mass, kept = optical_mass(fine), optical_mass(coarse)
         np.testing.assert_allclose(kept.sum(axis=0), mass.sum(axis=0), rtol=1e-6)  # measured 1e-7
@@ -131,9 +131,9 @@ def test_scattering_and_absorption_are_cycles_principled_volume():
 
 def test_voxels_without_optics_are_left_out_and_emission_is_not_scaled_by_density():
     volume = block((3, 1, 1), density=np.array([0, 1, 0], np.float32))
-    cloud, _ = volume_splats(volume, WHITE)
+    cloud, _, _ = volume_splats(volume, WHITE)
     assert len(cloud) == 1
-    glowing, _ = volume_splats(volume, Medium(emission=np.array([1.0, 0, 2])))
+    glowing, _, _ = volume_splats(volume, Medium(emission=np.array([1.0, 0, 2])))
     share = glowing.emission * (4 / 3 * np.pi * glowing.radii.astype(np.float64) ** 3)
     np.testing.assert_allclose(share, np.tile([1.0, 0, 2], (3, 1)), rtol=1e-6)
 
@@ -226,7 +226,7 @@ def test_normals_point_away_from_what_is_dense():
 @pytest.mark.parametrize("edge", [1e-6, 1e4])
 def test_voxels_of_any_size_and_far_away(edge):
     volume = block((6, 6, 6), scaled(edge, edge, edge, offset=(1e7, -3e6, 0)), 1 / edge)
-    cloud, warnings = volume_splats(volume, WHITE)
+    cloud, _, warnings = volume_splats(volume, WHITE)
     assert not warnings
     assert all(np.isfinite(a).all() for a in cloud.arrays().values())
     np.testing.assert_allclose(optical_mass(cloud), edge**2, rtol=1e-5)
@@ -237,21 +237,21 @@ def test_voxels_of_any_size_and_far_away(edge):
 
 def test_values_that_cannot_be_drawn_are_named_and_count_as_nothing():
     density = np.array([1, -1, np.nan, np.inf, -np.inf, 2], np.float32)
-    cloud, warnings = volume_splats(block((6, 1, 1), density=density), WHITE)
+    cloud, _, warnings = volume_splats(block((6, 1, 1), density=density), WHITE)
     assert len(cloud) == 2
     assert warnings == ['Smoke: 4 voxels of the grid "density" are negative or not finite and count as 0']
     transfer = Transfer("density", -1.0, 2.0, RAMP)
-    cloud, warnings = volume_splats(replace(block((6, 1, 1), density=density), transfer=transfer))
+    cloud, _, warnings = volume_splats(replace(block((6, 1, 1), density=density), transfer=transfer))
     assert len(cloud) == 3
     assert len(warnings) == 1
 
 
 def test_a_missing_grid_is_named():
-    cloud, warnings = volume_splats(block((2, 2, 2)), Medium(density_grid="smoke"))
+    cloud, _, warnings = volume_splats(block((2, 2, 2)), Medium(density_grid="smoke"))
     assert len(cloud) == 8
     assert warnings == ['Smoke: there is no grid "smoke", the density is the same everywhere']
     transfer = Transfer("heat", 0.0, 1.0, RAMP)
-    cloud, warnings = volume_splats(replace(block((2, 2, 2)), transfer=transfer))
+    cloud, _, warnings = volume_splats(replace(block((2, 2, 2)), transfer=transfer))
     assert len(cloud) == 0
     assert warnings == ['Smoke: there is no grid "heat" for the transfer function']
 
@@ -261,7 +261,7 @@ def test_a_missing_grid_is_named():
 @pytest.mark.parametrize("count", [0, 1])
 def test_none_and_one(count, spacing, transfer):
     volume = Volume("key", "Smoke", np.zeros((count, 3), np.int32), np.eye(4), {"density": np.ones(count, np.float32)})
-    cloud, warnings = volume_splats(replace(volume, transfer=transfer), WHITE, spacing=spacing)
+    cloud, _, warnings = volume_splats(replace(volume, transfer=transfer), WHITE, spacing=spacing)
     assert len(cloud) == count
     assert not warnings
     assert all(np.isfinite(a).all() for a in cloud.arrays().values())
@@ -269,7 +269,7 @@ def test_none_and_one(count, spacing, transfer):
 
 def test_optical_depth_beyond_opaque_stays_finite():
     volume = block((2, 1, 1), density=np.array([3e38, 1e-6], np.float32))
-    cloud, _ = volume_splats(volume, Medium(density=1e6, color=np.ones(3)))
+    cloud, _, _ = volume_splats(volume, Medium(density=1e6, color=np.ones(3)))
     assert np.isfinite(cloud.extinction).all()
     assert cloud.extinction[1] > 0
 
@@ -277,7 +277,7 @@ def test_optical_depth_beyond_opaque_stays_finite():
 def test_shear_and_flat_voxels_make_ellipsoids_of_their_mass():
     matrix = np.eye(4)
     matrix[:3, :3] = [[1, 0.5, 0], [0, 1, 0], [0, 0, 3]]
-    cloud, _ = volume_splats(block((3, 3, 3), matrix), WHITE)
+    cloud, _, _ = volume_splats(block((3, 3, 3), matrix), WHITE)
     np.testing.assert_allclose(optical_mass(cloud), 3.0, rtol=1e-6)
     axes = cloud.radii[0] / 2
     frame = np.stack([cloud.axis[0], np.cross(cloud.normal[0], cloud.axis[0]), cloud.normal[0]], axis=1)

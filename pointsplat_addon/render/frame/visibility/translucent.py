@@ -130,6 +130,8 @@ class TranslucentLayers:
         narrow = are_narrow(shape, self._options.kernels)
         where = view.principal_point, view.size, around
         touched = touched_tiles(centre, shape, *where)
+        if narrow.all():
+            return touched, touched
         return touched, touched_tiles(centre[narrow], shape[narrow], *where) if narrow.any() else np.zeros_like(touched)
 
     def _draw_layers(

@@ -81,7 +81,12 @@ class TranslucentCells:
                     if self._cut_target is not None:
                         device.clear(self._cut_target)
                     some = splats_in(found, *splats, view.principal_point)
-                    self._run("translucent", lambda found=found, some=some: self._blend(view, lit, found, some))
+                    _, shape = splats
+                    widest = float((shape[some, 0] + shape[some, 2]).max(initial=0.0))
+                    self._run(
+                        "translucent",
+                        lambda found=found, some=some, widest=widest: self._blend(view, lit, found, some, widest),
+                    )
                     self._run(
                         "difference",
                         lambda found=found, inside=inside: self._subtract(view, found, rows, Region(inside), shaded),
@@ -108,11 +113,11 @@ class TranslucentCells:
         textures |= {"ps_numbers": self._numbers, "ps_wanted": around}
         self._device.draw(program, self._expanded, uniforms=record, textures=textures, vertices=6)
 
-    def _blend(self, view: SampleView, lit: LitSplats, found: PixelBlock, splats: np.ndarray) -> None:
+    def _blend(self, view: SampleView, lit: LitSplats, found: PixelBlock, splats: np.ndarray, variance: float) -> None:
         p, q, *origin = self._targets.buffer.values["lattice"]  # pyright: ignore[reportGeneralTypeIssues]
         corner = first_cell(self._lattice, found, self._targets.size_of_tile)
         moved = origin[0] - corner[0], origin[1] - corner[1]
-        lit.draw_turned(self._blended, view, self._place, (p, q), moved, splats)
+        lit.draw_turned(self._blended, view, self._place, (p, q), moved, splats, variance)
 
     def _subtract(
         self, view: SampleView, found: PixelBlock, rows: Texture, inside: Region, shaded: dict[str, Texture]

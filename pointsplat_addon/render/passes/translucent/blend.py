@@ -33,9 +33,9 @@ def _block(options: TranslucentOptions) -> Block:
     return block("Blend", tuple(field for field in _FIELDS if field[1] not in unread))
 
 
-def draw_program(options: TranslucentOptions, channel: str, listed: bool = False) -> Interface:
+def draw_program(options: TranslucentOptions, channel: str, listed: bool = False, points: bool = False) -> Interface:
     """Returns the program that blends splats over the picture. `channel`: one of CHANNELS, or "" where all are
-    alike. `listed`: not all splats are drawn."""
+    alike. `listed`: not all splats are drawn. `points`: each is a point, not two triangles."""
     read = ["centre", "shape", "source", *(["front", "depth"] if options.opaque else [])]
     varyings = [("flat", "vec4", "v_conic"), ("flat", "vec4", "v_source"), ("flat", "vec2", "v_centre")]
     defines = []
@@ -61,6 +61,8 @@ def draw_program(options: TranslucentOptions, channel: str, listed: bool = False
     if listed:
         read.append("listed")
         defines.append(("PS_LISTED", "1"))
+    if points:
+        defines.append(("PS_POINTS", "1"))
     outputs = [("vec4", "out_color")]
     if options.holdout:
         outputs.append(("vec4", "out_cut"))

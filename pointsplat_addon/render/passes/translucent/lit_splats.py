@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ....core.splat.kernel import PROFILES
+from ....core.splat.kernel import PROFILES, SUPPORT
 from ....shading.interface import Interface
 from ...device.packing import PAGE_WIDTH, paged
 from ...device.protocol import Device, Target, Texture, releases_on_failure
@@ -16,6 +16,9 @@ from .blend import CHANNELS, Bounds, draw_program
 from .options import TranslucentOptions, lit_outputs
 
 CHUNK = 1 << 17  # splats of one draw: Blender wants a vertex buffer, if an empty one, of six vertices for each
+# Texels along the side of the largest point that is drawn; OpenGL may draw none larger than one, in theory. A software
+# renderer draws splats of some texels as points in 0.4 to 0.7 of the time that two triangles for each take.
+WIDEST_POINT = 64
 
 
 class LitSplats:
@@ -30,9 +33,11 @@ class LitSplats:
         count: int,
         samples: int = 1,
         captured: int = 0,
+        radius: float = np.inf,
     ) -> None:
         """`program`: that lights splats; None: all are captured ones. `samples`: of the picture. `captured`: so many
-        captured splats may follow after the others. DeviceError: more splats than a texture holds."""
+        captured splats may follow after the others. `radius`: of none is larger, in pixels. DeviceError: more splats
+        than a texture holds."""
         self.device, self.count, self.program, self.samples = device, count, program, samples
         self.captured = captured  # how many follow after the others
         self.listed: dict[
@@ -49,6 +54,8 @@ class LitSplats:
             self._profiles["ps_profiles"] = device.texture((steps, kernels), "R32F", PROFILES.reshape(-1))
         self._channels = () if options.defocus else CHANNELS if options.tint else ("",)
         self._options = options
+        # At the rim of a wide picture, balls are ellipses twice as long.
+        self._small = not options.captured and 4 * radius * SUPPORT**0.5 / 2 <= WIDEST_POINT
 
     def light(self, view: SampleView, light_count: int, textures: Mapping[str, Texture]) -> None:
         """Lights all splats, seen from the middle of the pixel."""
@@ -80,7 +87,7 @@ class LitSplats:
             counts = tile_counts(self.device, tiles)
             listed["ps_tiles"] = counts
         try:
-            self._draw(target, view, depth, where, self.count + self.captured, listed)
+            self._draw(target, view, depth, where, self.count + self.captured, listed, self._small)
         finally:
             if counts is not None:
                 counts.release()
@@ -93,17 +100,20 @@ class LitSplats:
         turn: tuple[float, float],
         origin: tuple[float, float],
         rows: np.ndarray,
+        variance: float,
     ) -> None:
         """Blends some splats over a target whose texels are turned against the picture's pixels.
 
         `depth`: of what is opaque, one texel for each of the target's. `turn`: first column of the matrix that takes
         pixels to texels; `origin`: where pixel coordinates (0, 0) lie. rows: (K,) int64 of the splats, rising.
+        `variance`: in square pixels, the sum of both axes' of the largest of these splats.
         """
         size, data = paged(np.column_stack([rows & (PAGE_WIDTH - 1), rows // PAGE_WIDTH]), 2)
         listed = self.device.texture(size, "RG32F", data)
         where = {"turn": turn, "origin": origin, "place": 1.0, "bounds": (0.0, 0.0, *target.colors[0].size)}
         try:
-            self._draw(target, view, depth, where, len(rows), {"ps_listed": listed})
+            small = 2 * np.hypot(*turn) * (SUPPORT * variance) ** 0.5 <= WIDEST_POINT
+            self._draw(target, view, depth, where, len(rows), {"ps_listed": listed}, bool(small))
         finally:
             listed.release()
 
@@ -115,19 +125,20 @@ class LitSplats:
         where: Mapping[str, object],
         count: int,
         listed: Mapping[str, Texture],
+        points: bool,
     ) -> None:
         textures = {**self.textures, **self._profiles, **({} if depth is None else {"ps_depth": depth}), **listed}
         options = replace(self._options, opaque=self._options.opaque and depth is not None)
         if not options.opaque:
             textures.pop("ps_front", None)
         for channel in self._channels:
-            program = draw_program(options, channel, "ps_listed" in listed)
+            program = draw_program(options, channel, "ps_listed" in listed, points)
             for first in range(0, count, CHUNK):
                 record = view.record_of(program.block, size=target.colors[0].size, first=first, **where)
-                vertices = (3 if self._options.alone else 6) * min(CHUNK, count - first)
+                vertices = (1 if points else 3 if self._options.alone else 6) * min(CHUNK, count - first)
                 self.device.draw(
                     program, target, uniforms=record, textures=textures, vertices=vertices, over=True,
-                    mask=channel or "RGBA",
+                    mask=channel or "RGBA", primitive="POINTS" if points else "TRIANGLES",
                 )  # fmt: skip
 
     def release(self) -> None:
