@@ -122,7 +122,8 @@ void main()
 #ifdef PS_POINTS
   // A square over what is wanted of the ellipse's box, whose middle lies in the picture: points with others are not drawn.
   vec2 reach = rim * sqrt(max(c.xz, 0.0));
-  vec2 low = max(v_centre - reach, u.bounds.xy), high = min(v_centre + reach, u.bounds.zw), side = high - low;
+  vec2 low = max(v_centre - reach, max(u.bounds.xy, vec2(0.0)));
+  vec2 high = min(v_centre + reach, min(u.bounds.zw, vec2(u.size))), side = high - low;
   bool seen = centre.w > 0.0 && side.x > 0.0 && side.y > 0.0;
   gl_PointSize = max(max(side.x, side.y), 1.0);
   gl_Position = seen ? vec4((low + high) / vec2(u.size) - 1.0, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);

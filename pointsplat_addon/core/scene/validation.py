@@ -129,6 +129,7 @@ RULES: dict[type, dict[str, Rule]] = {
         "spacing": Rule(DEFAULT, 0, FARTHEST),
         "extinction": Rule(DEFAULT, 0, FLOAT32),
         "pixel_radius": Rule(LATER),  # radii of points are checked
+        "cells": Rule(LATER),  # whole numbers
         "node_shape": Rule(LATER),  # nodes of pages are made of half-axes that are numbers
     },
     PointCloud: {

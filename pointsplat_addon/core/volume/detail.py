@@ -15,10 +15,9 @@ from ..scene.cloud import PointCloud
 from ..splat.kernel import EVEN_SPACING
 from .lattice import group_equal_rows
 from .normals import normalise
-from .voxels import VOXEL_SHARE
 
 CONTRAST = 0.01  # optical depth, or radiance, across a voxel by which those of a block may differ
-MOST_DEPTH = 0.25  # across a block: light may not end within it
+MOST_DEPTH = 0.15  # across a block: light may not end within it
 CHILDREN = 8
 
 
@@ -26,6 +25,14 @@ def voxel_edge(cloud: PointCloud) -> float:
     """Returns the mean edge in object units of the voxels that the points of a cloud (N, ...) stand for, N > 0."""
     assert cloud.radii is not None
     return float(np.prod(cloud.radii[0].astype(np.float64)) ** (1 / cloud.radii.shape[1])) / (2 * EVEN_SPACING)
+
+
+def widened(level: int) -> float:
+    """Returns by how much a splat that has the moments of 2^level voxels to a side is wider than that of one.
+
+    Variances add up: a voxel's is EVEN_SPACING^2, and that of places 0 to 2^L - 1 is (4^L - 1) / 12.
+    """
+    return float(np.sqrt(1 + (4.0**level - 1) / (12 * EVEN_SPACING**2)))
 
 
 def merged_where_even(cloud: PointCloud, cells: np.ndarray, levels: int) -> PointCloud:
@@ -37,7 +44,7 @@ def merged_where_even(cloud: PointCloud, cells: np.ndarray, levels: int) -> Poin
     """
     edge, found = voxel_edge(cloud), []
     whole = np.ones(len(cloud), bool)
-    for _ in range(levels):
+    for level in range(1, levels + 1):
         order, first = group_equal_rows(cells >> 1)
         cells = (cells >> 1)[order[first]]
         even = _even(cloud, order, first, whole, edge)
@@ -47,7 +54,8 @@ def merged_where_even(cloud: PointCloud, cells: np.ndarray, levels: int) -> Poin
         taken = np.empty(len(order), bool)
         taken[order] = np.repeat(even, inside)
         found.append(cloud.take(whole & ~taken))
-        cloud, whole, edge = _merged(cloud, order, first, inside), even, 2 * edge
+        growth = widened(level) / widened(level - 1)
+        cloud, whole, edge = _merged(cloud, order, first, inside, growth), even, 2 * edge
     found.append(cloud.take(whole))
     return _joined([part for part in found if len(part)])
 
@@ -56,13 +64,15 @@ def _even(cloud: PointCloud, order: np.ndarray, first: np.ndarray, whole: np.nda
     """Returns which blocks may be merged, (K,) bool. order (N,), first (K,): of `group_equal_rows`. whole: (N,) bool,
     which points stand for all that lies in their cell. edge: of these cells."""
     assert cloud.extinction is not None
+    assert cloud.radii is not None
     full = np.diff(np.append(first, len(order))) == CHILDREN
     even = np.logical_and.reduceat(whole[order], first)
     matter = cloud.extinction if cloud.extinction.ndim == 2 else cloud.extinction[:, None]
     shown = [matter[:, k] for k in range(matter.shape[1])]
     if cloud.color is not None and (cloud.color != cloud.color[0]).any():
         shown += [cloud.color[:, k] * matter[:, min(k, matter.shape[1] - 1)] for k in range(3)]
-    scale = np.float32(edge / VOXEL_SHARE)
+    volume = 4 / 3 * np.pi * (2 * EVEN_SPACING * voxel_edge(cloud)) ** 3  # over which a splat's extinction counts
+    scale = np.float32(volume / edge**2)
     for values in shown + ([] if cloud.emission is None else list(cloud.emission.T)):
         values = values[order] * scale
         low = np.where(full, np.minimum.reduceat(values, first), 0)
@@ -71,8 +81,11 @@ def _even(cloud: PointCloud, order: np.ndarray, first: np.ndarray, whole: np.nda
     return even & (depth <= MOST_DEPTH)
 
 
-def _merged(cloud: PointCloud, order: np.ndarray, first: np.ndarray, inside: np.ndarray) -> PointCloud:
-    """Returns one point for each block, (K, ...), at its centre of mass. inside: (K,) how many it has."""
+def _merged(
+    cloud: PointCloud, order: np.ndarray, first: np.ndarray, inside: np.ndarray, growth: float
+) -> PointCloud:
+    """Returns one point for each block, (K, ...), at its centre of mass. inside: (K,) how many it has. `growth`: of
+    half-axes."""
     assert cloud.extinction is not None
     assert cloud.radii is not None
     matter = cloud.extinction
@@ -87,15 +100,15 @@ def _merged(cloud: PointCloud, order: np.ndarray, first: np.ndarray, inside: np.
     mass = total(weight)[:, None]
     made = {
         "position": total(cloud.position * weight[:, None]) / mass,
-        "radii": 2 * cloud.radii[order[first]],
-        "extinction": total(matter) / CHILDREN,
+        "radii": growth * cloud.radii[order[first]],
+        "extinction": total(matter) / growth**3,
     }
     if cloud.color is not None:
         across = total(matter if matter.ndim == 2 else matter[:, None])
         scattering = total(cloud.color * (matter if matter.ndim == 2 else matter[:, None]))
         made["color"] = np.divide(scattering, across, out=np.zeros_like(scattering), where=across > 0)
     if cloud.emission is not None:
-        made["emission"] = total(cloud.emission) / CHILDREN
+        made["emission"] = total(cloud.emission) / growth**3
     if cloud.value is not None:
         made["value"] = total(cloud.value) / inside
     if cloud.shading_normal is not None:
