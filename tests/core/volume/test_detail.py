@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.volume import Medium, Volume
 from pointsplat_addon.core.splat.kernel import EVEN_SPACING
-from pointsplat_addon.core.volume.detail import CONTRAST, MOST_DEPTH, merged_where_even, voxel_edge, widened
-from pointsplat_addon.core.volume.voxels import volume_splats
+from pointsplat_addon.core.volume import detail, voxels
+from pointsplat_addon.core.volume.detail import CONTRAST, MOST_DEPTH, voxel_edge, widened
+
+# Attributes that may be absent are not in these tests.
+volume_splats: Any = voxels.volume_splats
+merged_where_even: Any = detail.merged_where_even
 
 
-def block(shape, density=1.0, matrix=None, low=(0, 0, 0), **grids):
+def block(shape, density: Any = 1.0, matrix=None, low=(0, 0, 0), **grids):
     index = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1).reshape(-1, 3) + low
     named = {"density": np.broadcast_to(np.float32(density), len(index)).copy(), **grids}
     return Volume("key", "Smoke", index.astype(np.int32), np.eye(4) if matrix is None else matrix, named)

@@ -33,7 +33,7 @@ def ball() -> Volume:
     """The unit ball as voxels, of which those at the rim are filled in part."""
     index = np.stack(np.meshgrid(*3 * [np.arange(-VOXELS - 1, VOXELS + 2)], indexing="ij"), axis=-1).reshape(-1, 3)
     offsets = (np.arange(4) + 0.5) / 4 - 0.5
-    inside = sum((((index + o) ** 2).sum(axis=1) < VOXELS**2).astype(float) for o in product(*3 * [offsets])) / 64
+    inside = np.sum([((index + o) ** 2).sum(axis=1) < VOXELS**2 for o in product(*3 * [offsets])], axis=0) / 64
     some = inside > 0
     matrix = np.diag([1 / VOXELS] * 3 + [1.0])
     return Volume("ball of even blocks", "Ball", index[some].astype(np.int32), matrix,
