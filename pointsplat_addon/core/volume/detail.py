@@ -81,9 +81,7 @@ def _even(cloud: PointCloud, order: np.ndarray, first: np.ndarray, whole: np.nda
     return even & (depth <= MOST_DEPTH)
 
 
-def _merged(
-    cloud: PointCloud, order: np.ndarray, first: np.ndarray, inside: np.ndarray, growth: float
-) -> PointCloud:
+def _merged(cloud: PointCloud, order: np.ndarray, first: np.ndarray, inside: np.ndarray, growth: float) -> PointCloud:
     """Returns one point for each block, (K, ...), at its centre of mass. inside: (K,) how many it has. `growth`: of
     half-axes."""
     assert cloud.extinction is not None

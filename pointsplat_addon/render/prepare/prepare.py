@@ -148,6 +148,7 @@ def prepare(
 
 
 def _widest_translucent(view: View, behind: Layer, view_from_object: np.ndarray) -> float:
+    """Returns an upper bound of the radius of translucent splats, in pixels."""
     if not behind.point_sets:
         return 0.0
     return largest_radius(behind.point_sets, behind.set_of_instance, view_from_object, view.camera, view.store)

@@ -13,7 +13,8 @@ from ..cache.keys import Key, Kind
 from .point_sets import PointSet
 from .view import View
 
-WIDEST_BLOCK = 1.5  # of the tolerance
+# Pixels, times a tolerance below 1: what wide splats of a lattice are uneven by, the pixel filter hides up to here.
+WIDEST_BLOCK = 1.5
 MIN_VOXELS = 1 << 14  # fewer are drawn in less time than they are merged
 MOST_INSTANCES = 16  # whose voxels are looked at one by one; of more, all voxels are drawn
 MOST_LEVELS = 10
@@ -30,17 +31,19 @@ def with_even_blocks(view: View, geometry: Geometry, points: PointSet, view_from
     if view.interactive or len(cloud) < MIN_VOXELS or len(view_from_object) > MOST_INSTANCES:
         return points
     edge = widest_voxel(cloud, view_from_object, view.camera)
-    wanted = WIDEST_BLOCK * view.settings.tolerance
-    levels = min(int(np.floor(np.log2(wanted / edge))), MOST_LEVELS) if edge > 0 else MOST_LEVELS
-    if levels < 1:
+    wanted = WIDEST_BLOCK * min(view.settings.tolerance, 1.0)
+    if not 2 * edge <= wanted:
         return points
+    levels = min(int(np.log2(wanted / edge)), MOST_LEVELS) if edge > 0 else MOST_LEVELS
     key = Key(Kind.EVEN_BLOCKS, geometry.key, other=levels)
     return PointSet(key, view.store.lookup(key, lambda: merged_where_even(cloud, cells, levels)), is_lattice=True)
 
 
 def widest_voxel(cloud: PointCloud, view_from_object: np.ndarray, camera: Camera) -> float:
-    """Returns how many pixels the edge of a volume's voxel has at most, (N,) in instances (I, 4, 4), of those that lie
-    in the whole picture, whichever part of it is drawn; 0 where none does."""
+    """Returns how many pixels long the edge of a volume's voxel is at most.
+
+    Of voxels that instances (I, 4, 4) show in the whole picture, whichever part of it is drawn; 0 where they show none.
+    """
     fx, fy, cx, cy = camera.pixel_from_view()
     edge = voxel_edge(cloud) * max(abs(fx), abs(fy)) * largest_singular_value(view_from_object[:, :3, :3])
     if not camera.perspective:
