@@ -1,0 +1,160 @@
+"""Media of a scene in the cells of an even grid: what they let through of light, what they scatter and what they emit.
+
+Voxels and particles of all volumes are shared out among the cells, by linear weights. What scatters mostly forwards is
+taken by similarity as less of it that scatters evenly (van de Hulst 1980: scattering times 1 - g).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..numeric.record import record
+
+MOST_ALONG = 48  # cells along the longest side
+MOST_CELLS = 1 << 16
+MOST_RECEIVERS = 4000  # cells of the lattice at which light is gathered
+THIN = 1e-3  # of the densest cell's scattering, below which a cell has no receiver of its own
+FILLED = 3  # cells around these to which what they gather is carried
+
+
+@record
+class Matter:
+    """N splats of media, in world space from some origin."""
+
+    position: np.ndarray  # (N, 3) float64
+    extinction: np.ndarray  # (N,) float64: cross-sections, each extinction times volume; where g is not 0, by similarity
+    scattering: np.ndarray  # (N, 3) float64: of that, what is scattered
+    lit: np.ndarray  # (N, 3) float64: cross-sections for the light of lamps, which similarity does not change
+    emission: np.ndarray | None  # (N, 3) float64: radiance per unit of length, times volume
+    apart: float  # how far splats lie from each other
+
+
+@record
+class MediaGrid:
+    """C = X Y Z cubic cells, x running first, and a lattice of blocks of them; in world space from some origin."""
+
+    low: np.ndarray  # (3,) float64: its corner
+    edge: float  # of a cell
+    shape: np.ndarray  # (3,) int64: X, Y, Z
+    extinction: np.ndarray  # (C,) float32, per unit of length, as all below
+    scattering: np.ndarray  # (C, 3) float32
+    lit: np.ndarray  # (C, 3) float32: what is scattered of the light of lamps
+    emission: np.ndarray  # (C, 3) float32
+    block: int  # cells along the edge of a block
+    receivers: np.ndarray  # (R,) int64: blocks in whose middle light is gathered
+
+    @property
+    def blocks(self) -> np.ndarray:
+        """(3,) int64: how many along each axis."""
+        return -(-self.shape // self.block)
+
+    @property
+    def places(self) -> np.ndarray:
+        """(R, 3) float64: where light is gathered."""
+        return self.low + (_cell_indices(self.receivers, self.blocks) + 0.5) * (self.block * self.edge)
+
+    @property
+    def lit_cells(self) -> np.ndarray:
+        """(n,) int64: cells that scatter light of lamps."""
+        return np.flatnonzero(self.lit.any(axis=1))
+
+    def centres(self, cells: np.ndarray) -> np.ndarray:
+        """(n, 3) float64 of cells (n,)."""
+        return self.low + (_cell_indices(cells, self.shape) + 0.5) * self.edge
+
+    def on_blocks(self, found: np.ndarray) -> np.ndarray:
+        """Returns what receivers have gathered, (R, 3), for all blocks, (B, 3) float32: others have it from their
+        neighbours."""
+        x, y, z = self.blocks
+        sums = np.zeros((z, y, x, 4))
+        flat = sums.reshape(-1, 4)
+        flat[self.receivers, :3], flat[self.receivers, 3] = found, 1
+        for _ in range(FILLED):
+            around = sums
+            for axis in range(3):
+                padded = np.pad(around, [(1, 1) if k == axis else (0, 0) for k in range(4)])
+                part = [np.take(padded, np.arange(k, k + sums.shape[axis]), axis) for k in range(3)]
+                around = part[0] + part[1] + part[2]
+            open_ones = sums[..., 3] == 0
+            weight = np.maximum(around[open_ones, 3:], 1e-30)
+            sums[open_ones] = np.where(around[open_ones, 3:] > 0, around[open_ones] / weight, 0)
+        mean = found.mean(axis=0) if len(found) else np.zeros(3)
+        return np.where(flat[:, 3:] > 0, flat[:, :3], mean).astype(np.float32)
+
+    def in_cells(self, of_blocks: np.ndarray) -> np.ndarray:
+        """Interpolates what blocks have, (B, 3), in the middles of cells, (C, 3) float32."""
+        x, y, z = self.blocks
+        found = of_blocks.reshape(z, y, x, 3)
+        for axis, (count, cells) in enumerate(zip((z, y, x), self.shape[::-1], strict=True)):
+            at = np.clip((np.arange(cells) + 0.5) / self.block - 0.5, 0, count - 1)
+            first = np.minimum(at.astype(np.int64), max(count - 2, 0))
+            share = (at - first).reshape([-1 if k == axis else 1 for k in range(4)])
+            a, b = (np.take(found, np.minimum(first + k, count - 1), axis) for k in (0, 1))
+            found = a + share * (b - a)
+        return found.reshape(-1, 3).astype(np.float32)
+
+
+def media_grid(parts: Sequence[Matter]) -> MediaGrid | None:
+    """Returns the grid over all matter; None where there is none."""
+    parts = [part for part in parts if len(part.position)]
+    if not parts:
+        return None
+    low = np.min([part.position.min(axis=0) - 0.5 * part.apart for part in parts], axis=0)
+    high = np.max([part.position.max(axis=0) + 0.5 * part.apart for part in parts], axis=0)
+    extent = high - low
+    main = max(parts, key=lambda part: float(part.extinction.sum())).apart
+    edge = max(float(extent.max()) / MOST_ALONG, float(np.prod(extent) / MOST_CELLS) ** (1 / 3), 1e-30)
+    if main > 0:
+        # Whole steps of the lattice, whose voxels then fill all cells evenly.
+        edge = main * np.ceil(edge / main - 1e-6)
+    shape = np.ceil(extent / edge - 1e-6).astype(np.int64) + 1
+    low = 0.5 * (low + high) - 0.5 * shape * edge
+    cells = int(np.prod(shape))
+    sums = np.zeros((10, cells))
+    for part in parts:
+        columns = [part.extinction, *part.scattering.T, *part.lit.T]
+        columns += [] if part.emission is None else [*part.emission.T]
+        for index, weight in _shared(part.position, low, edge, shape):
+            for row, column in enumerate(columns):
+                sums[row] += np.bincount(index, column * weight, cells)
+    sums /= edge**3
+    scattering = sums[1:4].T.astype(np.float32)
+    emission = sums[7:].T.astype(np.float32)
+    block, receivers = _blocks(np.maximum(scattering.max(axis=1), 0), shape)
+    return MediaGrid(
+        low, float(edge), shape, sums[0].astype(np.float32), scattering, sums[4:7].T.astype(np.float32), emission,
+        block, receivers,
+    )  # fmt: skip
+
+
+def _shared(position: np.ndarray, low: np.ndarray, edge: float, shape: np.ndarray):
+    """Yields, eight times, a cell (N,) for each place (N, 3), and the share of it that this has, (N,)."""
+    at = (position - low) / edge - 0.5
+    first = np.clip(np.floor(at), 0, np.maximum(shape - 2, 0)).astype(np.int64)
+    share = np.clip(at - first, 0, 1)
+    for corner in range(8):
+        step = np.array([corner & 1, corner >> 1 & 1, corner >> 2])
+        cell = np.minimum(first + step, shape - 1)
+        weight = np.where(step, share, 1 - share).prod(axis=1)
+        yield cell[:, 0] + shape[0] * (cell[:, 1] + shape[1] * cell[:, 2]), weight
+
+
+def _blocks(scattering: np.ndarray, shape: np.ndarray) -> tuple[int, np.ndarray]:
+    """How many cells along their edges blocks have, and those (R,) that scatter light. scattering: (C,)."""
+    cells = np.flatnonzero(scattering > THIN * scattering.max(initial=0.0))
+    index = _cell_indices(cells, shape)
+    block = 1
+    while True:
+        blocks = -(-shape // block)
+        own = index // block
+        found = np.unique(own[:, 0] + blocks[0] * (own[:, 1] + blocks[1] * own[:, 2]))
+        if len(found) <= MOST_RECEIVERS:
+            return block, found
+        block += 1
+
+
+def _cell_indices(cells: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """(n, 3) int64 of cells (n,) in a grid of a shape (3,), x running first."""
+    return np.column_stack([cells % shape[0], cells // shape[0] % shape[1], cells // (shape[0] * shape[1])])

@@ -1,0 +1,23 @@
+// Mean radiance at places in media, but for that of lamps: between the middles of blocks. Layout of ps_medium_light_of:
+// render/indirect/media.py, PS_MEDIA_WIDTH blocks in a row of the texture.
+
+vec3 ps_light_of_block(ivec3 at)
+{
+  int number = at.x + u.medium_blocks.x * (at.y + u.medium_blocks.y * at.z);
+  return texelFetch(ps_medium_light_of, ivec2(number & (PS_MEDIA_WIDTH - 1), number / PS_MEDIA_WIDTH), 0).rgb;
+}
+
+// position: in view space.
+vec3 ps_medium_light(vec3 position)
+{
+  ivec3 last = u.medium_blocks.xyz - 1;
+  vec3 at = clamp((u.blocks_from_view * vec4(position, 1.0)).xyz - 0.5, vec3(0.0), vec3(last)), share = fract(at);
+  ivec3 first = ivec3(floor(at));
+  vec3 found = vec3(0.0);
+  for (int corner = 0; corner < 8; corner++) {
+    ivec3 step_to = ivec3(corner & 1, corner >> 1 & 1, corner >> 2);
+    vec3 weight = mix(1.0 - share, share, vec3(step_to));
+    found += weight.x * weight.y * weight.z * ps_light_of_block(min(first + step_to, last));
+  }
+  return found;
+}
