@@ -12,10 +12,11 @@ import numpy as np
 
 from ..numeric.record import record
 
-MOST_ALONG = 48  # cells along the longest side
-MOST_CELLS = 1 << 16
+MOST_ALONG = 64  # cells along the longest side
+MOST_CELLS = 1 << 17
 MOST_RECEIVERS = 4000  # cells of the lattice at which light is gathered
 THIN = 1e-3  # of the densest cell's scattering, below which a cell has no receiver of its own
+ROOT = 4  # of radiance is interpolated: in dense media it falls as exponentials do, above which straight lines run
 FILLED = 3  # cells around these to which what they gather is carried
 
 
@@ -86,14 +87,14 @@ class MediaGrid:
     def in_cells(self, of_blocks: np.ndarray) -> np.ndarray:
         """Interpolates what blocks have, (B, 3), in the middles of cells, (C, 3) float32."""
         x, y, z = self.blocks
-        found = of_blocks.reshape(z, y, x, 3)
+        found = of_blocks.reshape(z, y, x, 3) ** (1 / ROOT)
         for axis, (count, cells) in enumerate(zip((z, y, x), self.shape[::-1], strict=True)):
             at = np.clip((np.arange(cells) + 0.5) / self.block - 0.5, 0, count - 1)
             first = np.minimum(at.astype(np.int64), max(count - 2, 0))
             share = (at - first).reshape([-1 if k == axis else 1 for k in range(4)])
             a, b = (np.take(found, np.minimum(first + k, count - 1), axis) for k in (0, 1))
             found = a + share * (b - a)
-        return found.reshape(-1, 3).astype(np.float32)
+        return (found.reshape(-1, 3) ** ROOT).astype(np.float32)
 
 
 def media_grid(parts: Sequence[Matter]) -> MediaGrid | None:

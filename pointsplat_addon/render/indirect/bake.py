@@ -23,6 +23,8 @@ from .media import baked_media
 MOST_BOUNCE_RECEIVERS = 3000  # of either side, where light is gathered for further bounces
 FEWER = 2  # times fewer receivers gather all that comes after the first bounce of lamps' light, which is even
 LEAST_GAIN = 0.01  # of the light of surfels, below which what a bounce brings is the last
+LEAST_GAIN_OF_MEDIA = 0.005  # below which bounces in media are taken to become less evenly
+MOST_LEFT = 0.98  # of a bounce, in the next one
 THINNER = 0.25  # along the normal
 ALIKE = 0.9  # cosine between normals of surfels and of receivers next to theirs that light them, too
 SMALLEST_SHARE = 10.0  # percent of surfels that are smaller than what is told apart
@@ -134,12 +136,17 @@ class Baker:
         total = shines + direct + self._scattered(receivers, found)
         # All further light is even, and gathered at fewer.
         fewer = bounce_receivers(at, MOST_BOUNCE_RECEIVERS // FEWER)
-        some, gain = at.take(fewer.rows), found
+        some, gain, now = at.take(fewer.rows), found, 0.0
         for number in range(1, bounces):
             sends = self._scattered(receivers, gain)
             if number == bounces - 1:
                 sends = self._not_ahead(sends, at, found, shines, lit)
-            if max(_share(sends.surfels, total.surfels), _share(sends.media[None], total.media[None])) < LEAST_GAIN:
+            shares = _share(sends.surfels, total.surfels), _share(sends.media[None], total.media[None])
+            before, now = now, float(sends.media.sum(dtype=float))
+            if shares[0] < LEAST_GAIN and shares[1] < LEAST_GAIN_OF_MEDIA:
+                ratio = min(now / before, MOST_LEFT) if before > 0 else 0.0
+                left = ratio * (1 - ratio ** (bounces - number)) / (1 - ratio)
+                total = Leaving(total.surfels, total.media + np.float32(left) * sends.media)
                 break
             gathered = yield from self._gathered(some, sends, 0.0)
             gain = Received(fewer.spread(gathered.surfels), gathered.media)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ...core.indirect.media import Matter, MediaGrid, media_grid
+from ...core.indirect.media import ROOT, Matter, MediaGrid, media_grid
 from ...core.numeric.record import record
 from ...core.scene.cloud import PointCloud
 from ...core.scene.materials import MaterialTable
@@ -26,14 +26,15 @@ class BakedMedia:
     shape: np.ndarray  # (3,) int64: cells along each axis
     cells: np.ndarray  # (C, 4) float32, x running first: what is sent per unit of length, and extinction
     block: int  # cells along the edge of a block
-    light: np.ndarray  # (B, 4) float32: mean radiance, but for lamps, in the blocks' middles, x running first
+    # (B, 4) float32, x running first: fourth roots of mean radiance, but for that of lamps, in the blocks' middles
+    light: np.ndarray
 
 
 def baked_media(grid: MediaGrid, sent: np.ndarray, light: np.ndarray) -> BakedMedia:
     """Returns media that send so much, (C, 3), and on which so much light falls, (R, 3) at the grid's receivers."""
     cells = np.column_stack([sent, grid.extinction]).astype(np.float32)
-    of_blocks = grid.on_blocks(light)
-    padded = np.column_stack([of_blocks, np.zeros(len(of_blocks), np.float32)])
+    roots = grid.on_blocks(light) ** (1 / ROOT)
+    padded = np.column_stack([roots, np.zeros(len(roots))]).astype(np.float32)
     return BakedMedia(grid.low, grid.edge, grid.shape, cells, grid.block, padded)
 
 

@@ -291,6 +291,10 @@ def _gathers(view: ViewToPlan) -> bool:
     emits = bool((scene.materials.emission > 0).any()) or any(
         isinstance(graph, MaterialGraph) and "emission" in graph.channels for graph in scene.materials.graphs
     )
+    emits = emits or any(
+        one.cloud is not None and one.cloud.extinction is not None and one.cloud.emission is not None
+        for one in scene.geometries
+    )
     world = scene.world.image is not None or bool(np.any(scene.world.color > 0))
     return drawn and not view.defocus and (emits or world or (settings.bounces > 0 and bool(scene.lights)))
 

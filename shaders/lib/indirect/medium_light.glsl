@@ -1,4 +1,5 @@
-// Mean radiance at places in media, but for that of lamps: between the middles of blocks. Layout of ps_medium_light_of:
+// Mean radiance at places in media, but for that of lamps: between the middles of blocks, whose
+// fourth roots are kept (core/indirect/media.py). Layout of ps_medium_light_of:
 // render/indirect/media.py, PS_MEDIA_WIDTH blocks in a row of the texture.
 
 vec3 ps_light_of_block(ivec3 at)
@@ -19,5 +20,5 @@ vec3 ps_medium_light(vec3 position)
     vec3 weight = mix(1.0 - share, share, vec3(step_to));
     found += weight.x * weight.y * weight.z * ps_light_of_block(min(first + step_to, last));
   }
-  return found;
+  return found * found * found * found;
 }
