@@ -12,11 +12,16 @@ import numpy as np
 
 from ..numeric.record import record
 
-MOST_ALONG = 64  # cells along the longest side
-MOST_CELLS = 1 << 17
-MOST_RECEIVERS = 4000  # cells of the lattice at which light is gathered
+# Of media that are thin within a cell, and of others: cells along the longest side, all cells, and blocks at which light
+# is gathered, which are few cells wide.
+THIN_MEDIA = 64, 1 << 17, 4000
+DEEP_MEDIA = 96, 1 << 19, 12000
+DEEP = 0.75  # optical depth across a cell, or a block, from which on it is deep
 THIN = 1e-3  # of the densest cell's scattering, below which a cell has no receiver of its own
-ROOT = 4  # of radiance is interpolated: in dense media it falls as exponentials do, above which straight lines run
+DENSE = 90.0  # percentile of cells' extinction that tells how deep they are
+DEEPEST_PART, MOST_PARTS = 0.5, 4  # of a cell: optical depth of those that lamps light by themselves, and along an edge
+MOST_LIT = 1 << 19  # of these in all
+ROOT = 4  # of radiance is interpolated where it is seen: in dense media it falls as exponentials do
 FILLED = 3  # cells around these to which what they gather is carried
 
 
@@ -61,6 +66,15 @@ class MediaGrid:
         """(n,) int64: cells that scatter light of lamps."""
         return np.flatnonzero(self.lit.any(axis=1))
 
+    def parts(self, cells: int) -> np.ndarray:
+        """(n, 3) float64: places from the middles of so many cells at which these are lit: some, where light falls by
+        much within a cell."""
+        depth = self.edge * float(np.percentile(self.extinction[self.lit_cells], DENSE)) if cells else 0.0
+        most = max(int((MOST_LIT / max(cells, 1)) ** (1 / 3)), 1)
+        count = int(np.clip(np.ceil(depth / DEEPEST_PART), 1, min(most, MOST_PARTS)))
+        along = ((np.arange(count) + 0.5) / count - 0.5) * self.edge
+        return np.stack(np.meshgrid(along, along, along, indexing="ij"), -1).reshape(-1, 3)
+
     def centres(self, cells: np.ndarray) -> np.ndarray:
         """(n, 3) float64 of cells (n,)."""
         return self.low + (_cell_indices(cells, self.shape) + 0.5) * self.edge
@@ -85,16 +99,26 @@ class MediaGrid:
         return np.where(flat[:, 3:] > 0, flat[:, :3], mean).astype(np.float32)
 
     def in_cells(self, of_blocks: np.ndarray) -> np.ndarray:
-        """Interpolates what blocks have, (B, 3), in the middles of cells, (C, 3) float32."""
+        """Interpolates what blocks have, (B, 3), in the middles of cells, (C, 3) float32, by cubic splines (Catmull and
+        Rom 1974): neither straight lines nor exponentials, one after the other in each bounce, would add or lose light.
+        """
+        if self.block == 1:
+            return of_blocks
         x, y, z = self.blocks
-        found = of_blocks.reshape(z, y, x, 3) ** (1 / ROOT)
+        found = of_blocks.reshape(z, y, x, 3)
         for axis, (count, cells) in enumerate(zip((z, y, x), self.shape[::-1], strict=True)):
             at = np.clip((np.arange(cells) + 0.5) / self.block - 0.5, 0, count - 1)
             first = np.minimum(at.astype(np.int64), max(count - 2, 0))
-            share = (at - first).reshape([-1 if k == axis else 1 for k in range(4)])
-            a, b = (np.take(found, np.minimum(first + k, count - 1), axis) for k in (0, 1))
-            found = a + share * (b - a)
-        return (found.reshape(-1, 3) ** ROOT).astype(np.float32)
+            t = (at - first).reshape([-1 if k == axis else 1 for k in range(4)])
+            weights = (
+                0.5 * t * (t * (2 - t) - 1),
+                1 + 0.5 * t * t * (3 * t - 5),
+                0.5 * t * (1 + t * (4 - 3 * t)),
+                0.5 * t * t * (t - 1),
+            )
+            steps = (np.take(found, np.clip(first + k, 0, count - 1), axis) for k in (-1, 0, 1, 2))
+            found = np.sum([weight * step for weight, step in zip(weights, steps, strict=True)], axis=0)
+        return np.maximum(found, 0).reshape(-1, 3).astype(np.float32)
 
 
 def media_grid(parts: Sequence[Matter]) -> MediaGrid | None:
@@ -106,10 +130,14 @@ def media_grid(parts: Sequence[Matter]) -> MediaGrid | None:
     high = np.max([part.position.max(axis=0) + 0.5 * part.apart for part in parts], axis=0)
     extent = high - low
     main = max(parts, key=lambda part: float(part.extinction.sum())).apart
-    edge = max(float(extent.max()) / MOST_ALONG, float(np.prod(extent) / MOST_CELLS) ** (1 / 3), 1e-30)
-    if main > 0:
-        # Whole steps of the lattice, whose voxels then fill all cells evenly.
-        edge = main * np.ceil(edge / main - 1e-6)
+    densest = max(_densest(part) for part in parts)
+    for along, most, _ in (THIN_MEDIA, DEEP_MEDIA):
+        edge = max(float(extent.max()) / along, float(np.prod(extent) / most) ** (1 / 3), 1e-30)
+        if main > 0:
+            # Whole steps of the lattice, whose voxels then fill all cells evenly.
+            edge = main * np.ceil(edge / main - 1e-6)
+        if densest * edge < DEEP:
+            break
     shape = np.ceil(extent / edge - 1e-6).astype(np.int64) + 1
     low = 0.5 * (low + high) - 0.5 * shape * edge
     cells = int(np.prod(shape))
@@ -123,7 +151,7 @@ def media_grid(parts: Sequence[Matter]) -> MediaGrid | None:
     sums /= edge**3
     scattering = sums[1:4].T.astype(np.float32)
     emission = sums[7:].T.astype(np.float32)
-    block, receivers = _blocks(np.maximum(scattering.max(axis=1), 0), shape)
+    block, receivers = _blocks(np.maximum(scattering.max(axis=1), 0), shape, densest * edge)
     return MediaGrid(
         low, float(edge), shape, sums[0].astype(np.float32), scattering, sums[4:7].T.astype(np.float32), emission,
         block, receivers,
@@ -142,8 +170,16 @@ def _shared(position: np.ndarray, low: np.ndarray, edge: float, shape: np.ndarra
         yield cell[:, 0] + shape[0] * (cell[:, 1] + shape[1] * cell[:, 2]), weight
 
 
-def _blocks(scattering: np.ndarray, shape: np.ndarray) -> tuple[int, np.ndarray]:
-    """How many cells along their edges blocks have, and those (R,) that scatter light. scattering: (C,)."""
+def _densest(part: Matter) -> float:
+    """The extinction where a part of the media is dense."""
+    return float(np.percentile(part.extinction, DENSE)) / max(part.apart, 1e-30) ** 3
+
+
+def _blocks(scattering: np.ndarray, shape: np.ndarray, depth: float) -> tuple[int, np.ndarray]:
+    """How many cells along their edges blocks have, and those (R,) that scatter light.
+
+    scattering: (C,). depth: optical depth across a dense cell.
+    """
     cells = np.flatnonzero(scattering > THIN * scattering.max(initial=0.0))
     index = _cell_indices(cells, shape)
     block = 1
@@ -151,7 +187,7 @@ def _blocks(scattering: np.ndarray, shape: np.ndarray) -> tuple[int, np.ndarray]
         blocks = -(-shape // block)
         own = index // block
         found = np.unique(own[:, 0] + blocks[0] * (own[:, 1] + blocks[1] * own[:, 2]))
-        if len(found) <= MOST_RECEIVERS:
+        if len(found) <= (DEEP_MEDIA if depth * block >= DEEP else THIN_MEDIA)[2]:
             return block, found
         block += 1
 

@@ -202,9 +202,13 @@ class Baker:
                 found[side, rows] += np.float32(share) * lit
         if lights and media is not None:
             cells = media.lit_cells
-            place = media.centres(cells).astype(np.float32)
-            lit = lit_surfels(self._device, self._lamps, lights, place, np.ones_like(place), self._textures, True)
-            sent[cells] = media.lit[cells] * lit
+            lit = np.zeros((len(cells), 3), np.float32)
+            parts = media.parts(len(cells))
+            for at in parts:
+                place = (media.centres(cells) + at).astype(np.float32)
+                up = np.ones_like(place)
+                lit += lit_surfels(self._device, self._lamps, lights, place, up, self._textures, True)
+            sent[cells] = media.lit[cells] * lit / np.float32(len(parts))
         return Leaving(surfels.albedo * found, sent)
 
     def _gathered(self, surfels: Surfels, leaving: Leaving, sky: float) -> Generator[None, None, Received]:

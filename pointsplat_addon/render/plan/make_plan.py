@@ -261,8 +261,10 @@ def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
         coats = () if table.coat is None else table.coat.roughness
         smoothest = 0.0 if varies else float(np.min([table.roughness.min(), *coats]))
         found = (*_world(scene.world), *light_names(scene.lights, smoothest))
-        if not found and not (table.coat is None and table.sheen is None) and (table.emission > 0).any():
-            found = ("PS_HAS_WORLD",)  # a black one: coats and fibres dim what shines below them
+        dims = not (table.coat is None and table.sheen is None) and (table.emission > 0).any()
+        if not found and (dims or _gathers(view)):
+            # A black one: coats and fibres dim what shines below them, and what is gathered is reflected by its table.
+            found = ("PS_HAS_WORLD",)
     return found + (() if view.shadows is None else _shadows(view.shadows))
 
 

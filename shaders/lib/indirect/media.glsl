@@ -2,7 +2,7 @@
 // row of the texture. Rays go from cell to cell, each of which is the same throughout (Amanatides and Woo 1987), so that what they
 // find changes smoothly as they move.
 
-#define PS_MOST_CELLS 192  // that a ray meets
+#define PS_MOST_CELLS 300  // that a ray meets
 #define PS_OPAQUE_MEDIA 1e-3  // of light, below which nothing is seen any more
 
 struct PsMarch {

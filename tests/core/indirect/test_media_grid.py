@@ -46,13 +46,14 @@ def test_an_even_lattice_fills_cells_evenly(turned, bound):
 
 def test_sizes_are_bounded(monkeypatch):
     """However long and thin a scene is."""
-    monkeypatch.setattr(media, "MOST_RECEIVERS", 500)
+    monkeypatch.setattr(media, "THIN_MEDIA", (64, 1 << 17, 500))
+    monkeypatch.setattr(media, "DEEP_MEDIA", (96, 1 << 19, 500))
     rng = np.random.default_rng(1)
     place = rng.uniform(-1, 1, (20_000, 3)) * np.array([1000.0, 300.0, 0.1])
     whole = np.ones(len(place))
     grid = media_grid([Matter(place, whole, np.ones((len(place), 3)), np.ones((len(place), 3)), None, 1e-3)])
     assert grid is not None
-    assert grid.shape.max() <= media.MOST_ALONG + 1
+    assert grid.shape.max() <= 97
     assert 0 < len(grid.receivers) <= 500
 
 
