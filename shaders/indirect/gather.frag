@@ -5,7 +5,7 @@
 //   out_glossy: mean radiance of surfaces over the lobe around the mirrored view, and the share of the lobe that is open
 // A walk meets near nodes first. A node is opened until it is smaller than a cell; then it covers as much of the cells under it
 // as it is large: what surfaces cover adds up, so that they are tight; leaves and hairs hide each other as if they lay there by
-// chance. PS_GLOSSY: out_glossy is wanted. PS_MEDIA: media hide and send light, too; their rays go through four places of each cell.
+// chance. PS_GLOSSY: out_glossy is wanted. PS_MEDIA: media hide and send light, too, along PS_RAYS x PS_RAYS rays through each cell.
 // PS_EVERY_SIDE: of a hemisphere, half of what a receiver within a medium sees: without the cosine.
 
 #include "lib/light/environment.glsl"
@@ -353,15 +353,21 @@ void main()
 #ifdef PS_MEDIA
       float surface = covered > 0.0 ? ps_distance[i] / max(ps_weight[i], 1e-30) : 0.0;
       PsMarch air = PsMarch(vec3(0.0), 0.0, vec3(0.0), 0.0);
-      for (int k = 0; k < 4; k++) {
-        vec3 part = ps_direction_from_cell(vec2(x, y) + vec2(k & 1, k >> 1) * 0.5 + 0.25);
+      float all_shares = 0.0;
+      for (int k = 0; k < PS_RAYS * PS_RAYS; k++) {
+        vec3 part = ps_direction_from_cell(vec2(x, y) + (vec2(k % PS_RAYS, k / PS_RAYS) + 0.5) / float(PS_RAYS));
         PsMarch one = ps_march(place.xyz, part.x * tangent + part.y * across + part.z * n, surface);
-        float share = 0.25 * ps_cell_solid_angle(part) * PS_COSINE(part) / weight;
+        float share = ps_cell_solid_angle(part) * PS_COSINE(part);
+        all_shares += share;
         air.before += share * one.before;
         air.left_before += share * one.left_before;
         air.all += share * one.all;
         air.left += share * one.left;
       }
+      air.before /= all_shares;
+      air.left_before /= all_shares;
+      air.all /= all_shares;
+      air.left /= all_shares;
       vec3 sent = mix(air.all, air.before, tight);
       sum.diffuse += ps_light[i] * (scale * air.left_before) + weight * sent;
 #else

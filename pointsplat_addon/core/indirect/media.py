@@ -12,8 +12,8 @@ import numpy as np
 
 from ..numeric.record import record
 
-# Of media that are thin within a cell, and of others: cells along the longest side, all cells, and blocks at which light
-# is gathered, which are few cells wide.
+# Of media that are thin within a cell, and of others: cells along the longest side, all cells, and blocks, a few cells
+# wide, at which light is gathered.
 THIN_MEDIA = 64, 1 << 17, 4000
 DEEP_MEDIA = 96, 1 << 19, 12000
 DEEP = 0.75  # optical depth across a cell, or a block, from which on it is deep
@@ -30,7 +30,9 @@ class Matter:
     """N splats of media, in world space from some origin."""
 
     position: np.ndarray  # (N, 3) float64
-    extinction: np.ndarray  # (N,) float64: cross-sections, each extinction times volume; where g is not 0, by similarity
+    extinction: (
+        np.ndarray
+    )  # (N,) float64: cross-sections, each extinction times volume; where g is not 0, by similarity
     scattering: np.ndarray  # (N, 3) float64: of that, what is scattered
     lit: np.ndarray  # (N, 3) float64: cross-sections for the light of lamps, which similarity does not change
     emission: np.ndarray | None  # (N, 3) float64: radiance per unit of length, times volume

@@ -45,8 +45,8 @@ class LitTranslucent:
     ) -> None:
         """Makes the program that lights the splats.
 
-        `samples`: of the picture. `run` times each pass. `indirect`: light that falls on media. Raises DeviceError if there are more splats than a texture
-        holds.
+        `samples`: of the picture. `run` times each pass. `indirect`: light that falls on media. Raises DeviceError if
+        there are more splats than a texture holds.
         """
         assert plan.translucent is not None
         self._uploads, self._run, self._indirect = uploads, run, indirect

@@ -3,8 +3,8 @@
     python -m scripts.studies.indirect --data DIR --folder WORK [--only NAMES] [--size 320x180] [--truth 512]
         [--bounces 3] [--settings NAME=VALUE ...]
 
-WORK keeps what was drawn: Cycles' pictures that are there are not drawn again. Files with the ending .png are PointSplat's, Cycles', and
-four times their difference about grey. The table goes to stdout.
+WORK keeps what was drawn: Cycles' pictures that are there are not drawn again. Files with the ending .png are
+PointSplat's, Cycles', and four times their difference about grey. The table goes to stdout.
 """
 
 from __future__ import annotations
@@ -82,7 +82,9 @@ def main() -> None:
         sys.stdout.flush()
         shown = [displayed(np.dstack([exposure * x[..., :3], np.ones(x.shape[:2])])) for x in (own, mean)]
         sheet = [*shown, np.clip(0.5 + GAIN * (shown[0] - shown[1]), 0, 1)]
-        Image.fromarray((255 * np.concatenate(sheet, axis=1)[::-1] + 0.5).astype(np.uint8)).save(folder / f"{file.stem}.png")
+        Image.fromarray((255 * np.concatenate(sheet, axis=1)[::-1] + 0.5).astype(np.uint8)).save(
+            folder / f"{file.stem}.png"
+        )
 
 
 if __name__ == "__main__":

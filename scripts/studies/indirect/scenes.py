@@ -339,7 +339,8 @@ def alone(data: Path) -> None:
 
 
 SCENES: dict[str, Callable[[Path], None]] = {
-    scene.__name__: scene for scene in (room, walls, dragon, truck, fur, scan, foliage, street, letters, cloud, smoke, alone)
+    scene.__name__: scene
+    for scene in (room, walls, dragon, truck, fur, scan, foliage, street, letters, cloud, smoke, alone)
 }
 BOUNCES = 3
 

@@ -12,32 +12,53 @@ struct PsMarch {
   float left;
 };
 
+// A ray in the grid, in cells.
+struct PsRay {
+  vec3 turn, apart;  // the way that it goes along each axis, and how far apart the borders are that it meets
+  vec3 cell, next;  // where it is, and how far away the next border along each axis is
+  float t, far;  // how far it has come, and where it leaves the grid
+};
+
+void ps_march_on(inout PsMarch found, inout PsRay ray, vec3 count, float surface)
+{
+  int number = int(ray.cell.x + count.x * (ray.cell.y + count.y * ray.cell.z));
+  vec4 medium = texelFetch(ps_media, ivec2(number & (PS_MEDIA_WIDTH - 1), number / PS_MEDIA_WIDTH), 0);
+  float end = min(min(ray.next.x, ray.next.y), min(ray.next.z, ray.far));
+  float length = max(end - ray.t, 0.0) * u.media_corner.w, depth = medium.a * length, passed = exp(-depth);
+  vec3 sent = found.left * medium.rgb * (depth > 1e-3 ? (1.0 - passed) / medium.a : length * (1.0 - 0.5 * depth));
+  float part = clamp((surface - ray.t) / max(end - ray.t, 1e-9), 0.0, 1.0);
+  found.before += part * sent;
+  found.left_before *= mix(1.0, passed, part);
+  found.all += sent;
+  found.left *= passed;
+  vec3 on = vec3(lessThanEqual(ray.next, vec3(end)));
+  ray.cell = clamp(ray.cell + ray.turn * on, vec3(0.0), count - 1.0);
+  ray.next += ray.apart * on;
+  ray.t = end;
+}
+
+// `surface`: its distance from the origin.
 PsMarch ps_march(vec3 origin, vec3 direction, float surface)
 {
   vec3 count = vec3(u.media_cells.xyz), at = (origin - u.media_corner.xyz) / u.media_corner.w;
   vec3 d = mix(direction, vec3(1e-7), lessThan(abs(direction), vec3(1e-7))), inverse = 1.0 / d;
   vec3 first = -at * inverse, second = (count - at) * inverse, enter = min(first, second), leave = max(first, second);
-  float t = max(max(enter.x, enter.y), max(enter.z, 0.0)), far = min(leave.x, min(leave.y, leave.z));
-  float end_surface = surface / u.media_corner.w, edge = u.media_corner.w;
-  vec3 forwards = step(vec3(0.0), d), turn = 2.0 * forwards - 1.0;
-  vec3 cell = clamp(floor(at + t * d), vec3(0.0), count - 1.0);
-  vec3 next = (cell + forwards - at) * inverse;
+  vec3 forwards = step(vec3(0.0), d);
+  PsRay ray;
+  ray.t = max(max(enter.x, enter.y), max(enter.z, 0.0));
+  ray.far = min(leave.x, min(leave.y, leave.z));
+  ray.turn = 2.0 * forwards - 1.0;
+  ray.apart = abs(inverse);
+  ray.cell = clamp(floor(at + ray.t * d), vec3(0.0), count - 1.0);
+  ray.next = (ray.cell + forwards - at) * inverse;
   PsMarch found = PsMarch(vec3(0.0), 1.0, vec3(0.0), 1.0);
-  for (int i = 0; i < PS_MOST_CELLS && t < far && found.left > PS_OPAQUE_MEDIA; i++) {
-    int number = int(cell.x + count.x * (cell.y + count.y * cell.z));
-    vec4 medium = texelFetch(ps_media, ivec2(number & (PS_MEDIA_WIDTH - 1), number / PS_MEDIA_WIDTH), 0);
-    float end = min(min(next.x, next.y), min(next.z, far)), length = max(end - t, 0.0) * edge, depth = medium.a * length;
-    float passed = exp(-depth);
-    vec3 sent = found.left * medium.rgb * (depth > 1e-3 ? (1.0 - passed) / medium.a : length * (1.0 - 0.5 * depth));
-    float part = clamp((end_surface - t) / max(end - t, 1e-9), 0.0, 1.0);
-    found.before += part * sent;
-    found.left_before *= mix(1.0, passed, part);
-    found.all += sent;
-    found.left *= passed;
-    vec3 step_along = vec3(lessThanEqual(next, vec3(end)));
-    cell = clamp(cell + turn * step_along, vec3(0.0), count - 1.0);
-    next += abs(inverse) * step_along;
-    t = end;
+  float before = surface / u.media_corner.w;
+  // Four cells at a turn: software rasterisers end all loops together after 65,535 turns.
+  for (int i = 0; i < PS_MOST_CELLS / 4 && ray.t < ray.far && found.left > PS_OPAQUE_MEDIA; i++) {
+    ps_march_on(found, ray, count, before);
+    ps_march_on(found, ray, count, before);
+    ps_march_on(found, ray, count, before);
+    ps_march_on(found, ray, count, before);
   }
   return found;
 }

@@ -5,13 +5,13 @@ import pytest
 
 from pointsplat_addon.core.indirect.media import MediaGrid
 from pointsplat_addon.core.indirect.surfels import Surfels
+from pointsplat_addon.core.indirect.tree import build_tree
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.render.indirect.bake import Baker
 from pointsplat_addon.render.indirect.known_sites import Slices
 from pointsplat_addon.render.indirect.light import BakedLight, IndirectLight
 from pointsplat_addon.render.indirect.media import baked_media
 from pointsplat_addon.render.passes.indirect.pages import node_rows
-from pointsplat_addon.core.indirect.tree import build_tree
 from scripts.scenes import drawing
 from scripts.scenes.build import scene
 from tests.render.indirect.test_gather import ball, surfels_of

@@ -11,6 +11,7 @@ from .pages import MEDIA_WIDTH, NODE_WIDTH, RECEIVER_WIDTH
 
 CELLS = 8
 BOUNCE_CELLS = 6  # where what is gathered lights other surfaces
+RAYS, BOUNCE_RAYS = 3, 2  # through media, along each side of a cell
 COARSENESS = 1.0  # cells that a node may cover
 GATHER_FIELDS: Fields = (("int", "root"), ("float", "coarseness"), ("float", "sky"))
 GATHER_BLOCK = block("Gather", GATHER_FIELDS)
@@ -31,14 +32,15 @@ def gather_program(
     picture = (("FLOAT_2D", "ps_environment"),) if "PS_HAS_ENVIRONMENT" in world else ()
     names = (*world, *(("PS_GLOSSY",) if glossy else ()), *(("PS_BOUNCES",) if bounces else ()))
     names += (*(("PS_MEDIA",) if media else ()), *(("PS_EVERY_SIDE",) if every_side else ()))
-    cells = BOUNCE_CELLS if bounces else CELLS
+    cells, rays = (BOUNCE_CELLS, BOUNCE_RAYS) if bounces else (CELLS, RAYS)
+    of_media = (("PS_MEDIA_WIDTH", str(MEDIA_WIDTH)), ("PS_RAYS", str(rays))) if media else ()
     return Interface(
         "gather", fragment="indirect/gather.frag", block=GATHER_MEDIA_BLOCK if media else GATHER_BLOCK,
         outputs=(("vec4", "out_diffuse"), *((("vec4", "out_glossy"),) if glossy else ())),
         samplers=(*(("FLOAT_2D", name) for name in ("ps_nodes", "ps_receivers")), *lights, *picture,
                   *((("FLOAT_2D", "ps_media"),) if media else ())),
         defines=(("PS_NODE_WIDTH", str(NODE_WIDTH)), ("PS_CELLS", str(cells)),
-                 *((("PS_MEDIA_WIDTH", str(MEDIA_WIDTH)),) if media else ()), *((name, "1") for name in names)),
+                 *of_media, *((name, "1") for name in names)),
     )  # fmt: skip
 
 

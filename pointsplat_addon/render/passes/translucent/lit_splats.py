@@ -50,13 +50,14 @@ class LitSplats:
         self._channels = () if options.defocus else CHANNELS if options.tint else ("",)
         self._options = options
 
-    def light(
-        self, view: SampleView, light_count: int, textures: Mapping[str, Texture], **gathered: object
-    ) -> None:
+    def light(self, view: SampleView, light_count: int, textures: Mapping[str, Texture], **gathered: object) -> None:
         """Lights all splats, seen from the middle of the pixel. `gathered`: values of GATHERED_FIELDS."""
         assert self.program is not None
         record = view.record_of(
-            self.program.block, count=self.count, low_pass_scale=1 / self.samples**2, light_count=light_count,
+            self.program.block,
+            count=self.count,
+            low_pass_scale=1 / self.samples**2,
+            light_count=light_count,
             **gathered,
         )
         self.device.draw(self.program, self.target, uniforms=record, textures=dict(textures))
