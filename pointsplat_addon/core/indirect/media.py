@@ -21,6 +21,7 @@ THIN = 1e-3  # of the densest cell's scattering, below which a cell has no recei
 DENSE = 90.0  # percentile of cells' extinction that tells how deep they are
 DEEPEST_PART, MOST_PARTS = 0.5, 4  # of a cell: optical depth of those that lamps light by themselves, and along an edge
 MOST_LIT = 1 << 19  # of these in all
+MOST_EXTINCTION = 1e20  # of a cell, whose products float32 holds
 ROOT = 4  # of radiance is interpolated where it is seen: in dense media it falls as exponentials do
 FILLED = 3  # cells around these to which what they gather is carried
 
@@ -150,7 +151,7 @@ def media_grid(parts: Sequence[Matter]) -> MediaGrid | None:
         for index, weight in _shared(part.position, low, edge, shape):
             for row, column in enumerate(columns):
                 sums[row] += np.bincount(index, column * weight, cells)
-    sums /= edge**3
+    sums = np.minimum(sums / edge**3, MOST_EXTINCTION)
     scattering = sums[1:4].T.astype(np.float32)
     emission = sums[7:].T.astype(np.float32)
     block, receivers = _blocks(np.maximum(scattering.max(axis=1), 0), shape, densest * edge)

@@ -13,7 +13,8 @@ from ...core.scene.materials import MaterialTable
 from ...core.scene.scene import Scene
 from ...core.splat.kernel import EVEN_SPACING
 
-MOST_EXTINCTION = 1e30  # of a splat, that leaves room for sums
+MOST = 1e30  # extinction and emission of a splat, that leave room for sums
+MOST_SPLATS = 1 << 21  # of a geometry's instances, from which on some stand for all
 SMALLEST = 1e-3  # 1 - g, at least: what scatters all light forwards does nothing
 
 
@@ -45,35 +46,32 @@ def scene_media(scene: Scene, usable: np.ndarray, origin: np.ndarray, check: Cal
         cloud = geometry.cloud
         if cloud is None or cloud.extinction is None or len(cloud) == 0:
             continue
-        for row in rows.tolist():
+        if len(rows):
             check()
-            matrix = scene.instances.world_from_object[row].copy()
-            matrix[:3, 3] -= origin
-            found.append(_matter(cloud, scene.materials, matrix))
+            matrices = scene.instances.world_from_object[rows].copy()
+            matrices[:, :3, 3] -= origin
+            found.append(_matter(cloud, scene.materials, matrices))
     return media_grid(found)
 
 
-def has_media(scene: Scene) -> bool:
-    """Tells whether something fills a volume."""
-    return any(one.cloud is not None and one.cloud.extinction is not None for one in scene.geometries)
-
-
-def _matter(cloud: PointCloud, table: MaterialTable, matrix: np.ndarray) -> Matter:
-    """The splats of an instance; `matrix` (4, 4): to world space from some origin."""
+def _matter(cloud: PointCloud, table: MaterialTable, matrices: np.ndarray) -> Matter:
+    """The splats of some instances; `matrices` (I, 4, 4): to world space from some origin. Of very many some stand for
+    all."""
+    every = min(-(-len(cloud) * len(matrices) // MOST_SPLATS), len(cloud))
+    cloud = cloud.take(slice(None, None, every)) if every > 1 else cloud
     extinction, rows = cloud.extinction, np.zeros(len(cloud), np.uint16)
     assert extinction is not None
     if cloud.material is not None:
         rows = np.minimum(cloud.material, len(table) - 1)
-    scale = abs(float(np.linalg.det(matrix[:3, :3]))) ** (1 / 3)
+    scale = np.abs(np.linalg.det(matrices[:, :3, :3])) ** (1 / 3)
     radii = np.full((len(cloud), 1), 0.01) if cloud.radii is None else np.abs(cloud.radii.astype(np.float64))
     # A flat splat of a medium stands for a slab as thick as it is wide: render/passes/translucent/page.py.
     a, b = radii[:, 0], radii[:, min(1, radii.shape[1] - 1)]
     c = radii[:, 2] if radii.shape[1] == 3 else np.sqrt(a * b)
-    # Lengths count in object units in extinction, and squares of them in world units.
-    volume = (4 / 3 * np.pi) * a * b * c * scale**2
+    volume = (4 / 3 * np.pi * every) * a * b * c
     base = table.base_color[rows] if cloud.color is None else cloud.color
     albedo = np.clip(np.nan_to_num(base.astype(np.float64)), 0, 1)
-    channels = np.clip(np.nan_to_num(extinction.astype(np.float64)), 0, MOST_EXTINCTION)
+    channels = np.clip(np.nan_to_num(extinction.astype(np.float64)), 0, MOST)
     channels = np.broadcast_to(channels.reshape(len(cloud), -1), (len(cloud), 3)) * volume[:, None]
     lit = channels * albedo
     evenly = np.ones(len(cloud))
@@ -81,11 +79,23 @@ def _matter(cloud: PointCloud, table: MaterialTable, matrix: np.ndarray) -> Matt
         evenly = np.maximum(1 - np.clip(table.anisotropy[rows], -1, 1).astype(np.float64), SMALLEST)
     scattering = lit * evenly[:, None]
     whole = (channels - lit + scattering).mean(axis=1)
-    emission = None if cloud.emission is None else np.maximum(cloud.emission, 0) * volume[:, None]
-    position = (cloud.position.astype(np.float64) + cloud.origin) @ matrix[:3, :3].T + matrix[:3, 3]
-    apart = float(np.median(np.cbrt(a * b * c))) / (2 * EVEN_SPACING) * scale
-    sound = np.isfinite(position).all(axis=1) & np.isfinite(whole)
-    if not sound.all():
-        position, whole, scattering, lit = position[sound], whole[sound], scattering[sound], lit[sound]
-        emission = None if emission is None else emission[sound]
-    return Matter(position, whole, scattering, lit, emission, apart)
+    emission = None
+    if cloud.emission is not None:
+        emission = np.clip(np.nan_to_num(cloud.emission.astype(np.float64)), 0, MOST) * volume[:, None]
+    linear, middle = matrices[:, :3, :3], matrices[:, None, :3, 3]
+    position = (cloud.position.astype(np.float64) + cloud.origin) @ linear.transpose(0, 2, 1) + middle
+    # What is counted per object unit, on a volume in object units, is an area that grows with the square of the scale.
+    square = scale[:, None] ** 2
+    whole = (whole * square).reshape(-1)
+    sound = np.isfinite(position).all(axis=2).reshape(-1) & (whole < MOST)
+
+    def of_all(values: np.ndarray) -> np.ndarray:
+        found = (values * square[..., None]).reshape(-1, 3)
+        return found if sound.all() else found[sound]
+
+    size = np.cbrt(a * b * c)
+    apart = float(np.median(size) * np.median(scale)) / (2 * EVEN_SPACING)
+    return Matter(
+        position.reshape(-1, 3)[sound], whole[sound], of_all(scattering), of_all(lit),
+        None if emission is None else of_all(emission), apart,
+    )  # fmt: skip

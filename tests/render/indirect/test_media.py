@@ -1,19 +1,26 @@
 """Light in media, and what they hide and send, against closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pointsplat_addon.core.indirect.media import MediaGrid
 from pointsplat_addon.core.indirect.surfels import Surfels
 from pointsplat_addon.core.indirect.tree import build_tree
+from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.materials import MaterialTable
 from pointsplat_addon.core.scene.world import World
+from pointsplat_addon.render.indirect import media
 from pointsplat_addon.render.indirect.bake import Baker
 from pointsplat_addon.render.indirect.known_sites import Slices
 from pointsplat_addon.render.indirect.light import BakedLight, IndirectLight
-from pointsplat_addon.render.indirect.media import baked_media
+from pointsplat_addon.render.indirect.media import baked_media, scene_media
 from pointsplat_addon.render.passes.indirect.pages import node_rows
 from scripts.scenes import drawing
-from scripts.scenes.build import scene
+from scripts.scenes.build import materials, moved, points, scene
+from scripts.scenes.clouds import smoke_cloud
+from scripts.scenes.indirect_cases import under_smoke
 from tests.render.indirect.test_gather import ball, surfels_of
 
 SKY = ("PS_HAS_WORLD",)
@@ -145,3 +152,82 @@ def test_light_converges_as_cells_get_finer():
     of = {cells: in_all_orders(round_fog(cells, 3.0, 0.9), 2).mean() for cells in (8, 16, 32)}
     print(of)
     assert abs(of[16] - of[32]) < 0.6 * abs(of[8] - of[32])
+
+
+def grid_of(cloud: PointCloud, *matrices: np.ndarray, table: MaterialTable | None = None) -> MediaGrid | None:
+    made = scene(*((points("smoke", cloud), matrix) for matrix in matrices), table=table or materials())
+    return scene_media(made, np.ones(len(matrices), bool), np.zeros(3), lambda: None)
+
+
+def cross_section(grid: MediaGrid | None) -> float:
+    assert grid is not None
+    return float(grid.extinction.sum(dtype=float)) * grid.edge**3
+
+
+def test_matter_counts_in_the_units_of_objects():
+    """A ball three times as large, whose extinction counts per object unit, hides nine times as much; several add up."""
+    cloud = smoke_cloud(12, 2.0)
+    one = cross_section(grid_of(cloud, moved()))
+    assert one == pytest.approx(2.0 * len(cloud.position) * (2 / 12) ** 3, rel=1e-4)
+    assert cross_section(grid_of(cloud, moved(scale=3.0))) == pytest.approx(9 * one, rel=1e-4)
+    assert cross_section(grid_of(cloud, moved(), moved((5, 1, 0)))) == pytest.approx(2 * one, rel=1e-4)
+
+
+def test_what_scatters_forwards_counts_as_less():
+    """By similarity: of extinction 2 and albedo 0.9 with g = 0.5, 2 (0.1 + 0.9 / 2) is left; lamps' light stays."""
+    plain = smoke_cloud(12, 2.0)
+    cloud = replace(plain, color=np.full_like(plain.position, 0.9))
+    grid = grid_of(cloud, moved(), table=materials(anisotropy=np.array([0.5], np.float32)))
+    assert grid is not None
+    assert cross_section(grid) == pytest.approx(0.55 * cross_section(grid_of(plain, moved())), rel=1e-4)
+    assert grid.lit.sum() == pytest.approx(2 * grid.scattering.sum(), rel=1e-4)
+
+
+def test_bad_matter_is_left_out():
+    """What is not finite, transforms of no volume, and very dense matter: everything in the grid is finite."""
+    cloud = smoke_cloud(6)
+    extinction = cloud.extinction.copy()
+    extinction[:4] = np.nan, np.inf, -1.0, 1e38
+    bad = replace(cloud, extinction=extinction, emission=np.full_like(cloud.position, np.nan))
+    flat, lost = moved(scale=0.0), moved()
+    lost[0, 3] = np.nan
+    for matrices in ((moved(),), (moved(), flat), (moved(), lost), (flat,), (moved(scale=1e-6), moved((1e5, 0, 0)))):
+        grid = grid_of(bad, *matrices)
+        assert grid is not None
+        assert all(np.isfinite(a).all() for a in (grid.extinction, grid.scattering, grid.lit, grid.emission))
+    assert grid_of(bad, lost) is None
+
+
+def test_of_very_many_puffs_some_stand_for_all(monkeypatch):
+    cloud = smoke_cloud(12, 2.0)
+    matrices = [moved((3 * k, 0, 0)) for k in range(8)]
+    whole = cross_section(grid_of(cloud, *matrices))
+    monkeypatch.setattr(media, "MOST_SPLATS", 2000)
+    assert cross_section(grid_of(cloud, *matrices)) == pytest.approx(whole, rel=0.01)
+
+
+def test_light_that_was_scattered_again_is_volume_indirect():
+    """There is some with bounces, and none without; both passes together are what smoke shows."""
+    case = under_smoke()
+    asked = frozenset({"combined", "volume_direct", "volume_indirect"})
+    found = {
+        bounces: drawing.render(replace(case, settings=replace(case.settings, bounces=bounces)), asked).pixels
+        for bounces in (0, 2)
+    }
+    assert not found[0]["volume_indirect"].any()
+    assert found[2]["volume_indirect"].max() > 0.05 * found[2]["volume_direct"].max()
+    assert np.abs(found[0]["volume_direct"] - found[2]["volume_direct"]).max() < 1e-6
+
+
+def test_smoke_hides_the_sky_from_a_floor_and_is_darker_below():
+    """A dark sky's worth of light is missing under it, and its lower half is darker than the upper."""
+    case = under_smoke()
+    plain = scene(*zip(case.scene.geometries, case.scene.instances.world_from_object, strict=True), lights=(),
+                  world=World(np.ones(3)), table=case.scene.materials)  # fmt: skip
+    sky = replace(case, scene=plain)
+    lit, bare = (
+        drawing.render(replace(sky, settings=replace(case.settings, use_indirect=on))).pixels["combined"][..., 0]
+        for on in (True, False)
+    )
+    assert (lit <= bare + 0.01).all()
+    assert lit.mean() < 0.9 * bare.mean()
