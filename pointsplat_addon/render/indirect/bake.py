@@ -171,7 +171,7 @@ class Baker:
         of_surfels = self._surfels.area[:, None]
         weight = at.area * at.albedo.mean(axis=1)
         some = _not_of_lamps(found.surfels, weight, of_surfels * shines.surfels, of_surfels * lit.surfels)
-        others = _not_of_lamps(found.media, np.float32(1), shines.media, lit.media)
+        others = _not_of_lamps(found.media, np.ones(len(found.media)), shines.media, lit.media)
         return Leaving(np.float32(some) * sends.surfels, np.float32(others) * sends.media)
 
     def _finished(self, leaving: Leaving) -> Generator[None, None, BakedLight]:

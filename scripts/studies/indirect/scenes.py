@@ -374,7 +374,8 @@ def main() -> None:
     parser.add_argument("--size", type=size, default=(320, 180), metavar="WxH")
     parser.add_argument("--bounces", type=int, default=BOUNCES)
     options = parser.parse_args()
-    make(options.name, options.file, options.data.resolve(), *options.size, options.bounces)
+    wide, high = options.size
+    make(options.name, options.file, options.data.resolve(), wide, high, options.bounces)
 
 
 if __name__ == "__main__":

@@ -165,7 +165,7 @@ def cross_section(grid: MediaGrid | None) -> float:
 
 
 def test_matter_counts_in_the_units_of_objects():
-    """A ball three times as large, whose extinction counts per object unit, hides nine times as much; several add up."""
+    """A ball that is scaled by 3, its extinction counting per object unit, hides nine times as much; several add up."""
     cloud = smoke_cloud(12, 2.0)
     one = cross_section(grid_of(cloud, moved()))
     assert one == pytest.approx(2.0 * len(cloud.position) * (2 / 12) ** 3, rel=1e-4)
@@ -186,6 +186,7 @@ def test_what_scatters_forwards_counts_as_less():
 def test_bad_matter_is_left_out():
     """What is not finite, transforms of no volume, and very dense matter: everything in the grid is finite."""
     cloud = smoke_cloud(6)
+    assert cloud.extinction is not None
     extinction = cloud.extinction.copy()
     extinction[:4] = np.nan, np.inf, -1.0, 1e38
     bad = replace(cloud, extinction=extinction, emission=np.full_like(cloud.position, np.nan))
