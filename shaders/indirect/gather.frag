@@ -352,7 +352,7 @@ void main()
       float left = 1.0 - tight, scale = tight / max(covered, 1e-6);
 #ifdef PS_MEDIA
       float surface = covered > 0.0 ? ps_distance[i] / max(ps_weight[i], 1e-30) : 0.0;
-      PsMarch air = PsMarch(vec3(0.0), 0.0, vec3(0.0), 0.0);
+      PsMarch air = PsMarch(vec3(0.0), PS_SHARE(0.0), vec3(0.0), PS_SHARE(0.0));
       float all_shares = 0.0;
       for (int k = 0; k < PS_RAYS * PS_RAYS; k++) {
         vec3 part = ps_direction_from_cell(vec2(x, y) + (vec2(k % PS_RAYS, k / PS_RAYS) + 0.5) / float(PS_RAYS));
@@ -381,7 +381,7 @@ void main()
       whole_lobe += of_lobe;
 #ifdef PS_MEDIA
       sum.glossy += ps_mirrored[i] * air.left_before + of_lobe * sent;
-      open_lobe += left * of_lobe * air.left;
+      open_lobe += left * of_lobe * dot(vec3(air.left), vec3(1.0 / 3.0));
 #else
       open_lobe += left * of_lobe;
 #endif

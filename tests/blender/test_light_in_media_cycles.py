@@ -31,6 +31,5 @@ def test_a_ball_of_smoke_between_a_floor_and_a_wall(tmp_path, bounces):
     seen = media.draw(scene, tmp_path, "POINTSPLAT", 16)
     cycles = media.draw(scene, tmp_path, "CYCLES", 256)
     rmse, mean = media.difference(seen, cycles)
-    print("MEASURED", bounces, rmse, mean)
-    assert rmse < 0.02
-    assert abs(mean) < 0.02
+    assert rmse < 0.02  # measured 0.0132 and 0.0149, with the noise of Cycles
+    assert abs(mean) < 0.01  # measured 0.0028 and 0.0026

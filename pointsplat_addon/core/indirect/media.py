@@ -47,12 +47,17 @@ class MediaGrid:
     low: np.ndarray  # (3,) float64: its corner
     edge: float  # of a cell
     shape: np.ndarray  # (3,) int64: X, Y, Z
-    extinction: np.ndarray  # (C,) float32, per unit of length, as all below
+    extinction: np.ndarray  # (C,) or, where it is coloured, (C, 3) float32, per unit of length, as all below
     scattering: np.ndarray  # (C, 3) float32
     lit: np.ndarray  # (C, 3) float32: what is scattered of the light of lamps
     emission: np.ndarray  # (C, 3) float32
     block: int  # cells along the edge of a block
     receivers: np.ndarray  # (R,) int64: blocks in whose middle light is gathered
+
+    @property
+    def colored(self) -> bool:
+        """Whether extinction differs between the channels."""
+        return self.extinction.ndim == 2
 
     @property
     def blocks(self) -> np.ndarray:
@@ -72,7 +77,8 @@ class MediaGrid:
     def parts(self, cells: int) -> np.ndarray:
         """(n, 3) float64: places from the middles of so many cells at which these are lit: some, where light falls by
         much within a cell."""
-        depth = self.edge * float(np.percentile(self.extinction[self.lit_cells], DENSE)) if cells else 0.0
+        whole = grey(self.extinction)[self.lit_cells]
+        depth = self.edge * float(np.percentile(whole, DENSE)) if cells else 0.0
         most = max(int((MOST_LIT / max(cells, 1)) ** (1 / 3)), 1)
         count = int(np.clip(np.ceil(depth / DEEPEST_PART), 1, min(most, MOST_PARTS)))
         along = ((np.arange(count) + 0.5) / count - 0.5) * self.edge
@@ -144,21 +150,27 @@ def media_grid(parts: Sequence[Matter]) -> MediaGrid | None:
     shape = np.ceil(extent / edge - 1e-6).astype(np.int64) + 1
     low = 0.5 * (low + high) - 0.5 * shape * edge
     cells = int(np.prod(shape))
-    sums = np.zeros((10, cells))
+    colored = any(part.extinction.ndim == 2 for part in parts)
+    sums = np.zeros((12, cells))
     for part in parts:
-        columns = [part.extinction, *part.scattering.T, *part.lit.T]
+        columns = [*part.scattering.T, *part.lit.T]
+        channels = part.extinction if part.extinction.ndim == 2 else part.extinction[:, None]
+        columns += [*np.broadcast_to(channels, (len(channels), 3)).T] if colored else [channels[:, 0]] + 2 * [None]
         columns += [] if part.emission is None else [*part.emission.T]
         for index, weight in _shared(part.position, low, edge, shape):
             for row, column in enumerate(columns):
-                sums[row] += np.bincount(index, column * weight, cells)
+                if column is not None:
+                    sums[row] += np.bincount(index, column * weight, cells)
     sums = np.minimum(sums / edge**3, MOST_EXTINCTION)
-    scattering = sums[1:4].T.astype(np.float32)
-    emission = sums[7:].T.astype(np.float32)
-    block, receivers = _blocks(np.maximum(scattering.max(axis=1), 0), shape, densest * edge)
-    return MediaGrid(
-        low, float(edge), shape, sums[0].astype(np.float32), scattering, sums[4:7].T.astype(np.float32), emission,
-        block, receivers,
-    )  # fmt: skip
+    scattering, lit, emission = (sums[row : row + 3].T.astype(np.float32) for row in (0, 3, 9))
+    extinction = (sums[6:9].T if colored else sums[6]).astype(np.float32)
+    block, receivers = _blocks(scattering.max(axis=1), shape, densest * edge)
+    return MediaGrid(low, float(edge), shape, extinction, scattering, lit, emission, block, receivers)
+
+
+def grey(extinction: np.ndarray) -> np.ndarray:
+    """(N,): the mean of the channels of extinction (N,) or (N, 3)."""
+    return extinction if extinction.ndim == 1 else extinction.mean(axis=1)
 
 
 def _shared(position: np.ndarray, low: np.ndarray, edge: float, shape: np.ndarray):
@@ -175,7 +187,7 @@ def _shared(position: np.ndarray, low: np.ndarray, edge: float, shape: np.ndarra
 
 def _densest(part: Matter) -> float:
     """The extinction where a part of the media is dense."""
-    return float(np.percentile(part.extinction, DENSE)) / max(part.apart, 1e-30) ** 3
+    return float(np.percentile(grey(part.extinction), DENSE)) / max(part.apart, 1e-30) ** 3
 
 
 def _blocks(scattering: np.ndarray, shape: np.ndarray, depth: float) -> tuple[int, np.ndarray]:

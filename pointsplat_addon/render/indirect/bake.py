@@ -136,17 +136,18 @@ class Baker:
         total = shines + direct + self._scattered(receivers, found)
         # All further light is even, and gathered at fewer.
         fewer = bounce_receivers(at, MOST_BOUNCE_RECEIVERS // FEWER)
-        some, gain, now = at.take(fewer.rows), found, 0.0
+        some, gain, now = at.take(fewer.rows), found, np.zeros(3)
         for number in range(1, bounces):
             sends = self._scattered(receivers, gain)
             if number == bounces - 1:
                 sends = self._not_ahead(sends, at, found, shines, lit)
-            shares = _share(sends.surfels, total.surfels), _share(sends.media[None], total.media[None])
-            before, now = now, float(sends.media.sum(dtype=float))
+            of_media = (_share(*(of.media[None, :, k : k + 1] for of in (sends, total))) for k in range(3))
+            shares = _share(sends.surfels, total.surfels), max(of_media)
+            before, now = now, sends.media.sum(axis=0, dtype=float)
             if shares[0] < LEAST_GAIN and shares[1] < LEAST_GAIN_OF_MEDIA:
-                ratio = min(now / before, MOST_LEFT) if before > 0 else 0.0
+                ratio = np.where(before > 0, np.minimum(now / np.maximum(before, 1e-30), MOST_LEFT), 0.0)
                 left = ratio * (1 - ratio ** (bounces - number)) / (1 - ratio)
-                total = Leaving(total.surfels, total.media + np.float32(left) * sends.media)
+                total = Leaving(total.surfels, total.media + left.astype(np.float32) * sends.media)
                 break
             gathered = yield from self._gathered(some, sends, 0.0)
             gain = Received(fewer.spread(gathered.surfels), gathered.media)

@@ -43,6 +43,10 @@ class IndirectLight:
         self.known = KnownSites()
 
     @property
+    def _colored(self) -> bool:
+        return self.media is not None and self.media.colored
+
+    @property
     def empty(self) -> bool:
         """Whether nothing hides or scatters light."""
         return self._root < 0 and self.media is None
@@ -62,7 +66,7 @@ class IndirectLight:
         them is open.
         """
         glossy, count = sharpness is not None, len(position)
-        program = gather_program(self._names, glossy, media=self.media is not None)
+        program = gather_program(self._names, glossy, media=self.media is not None, colored=self._colored)
         mirror = normal if mirror is None else mirror
         sharpness = np.ones(count, np.float32) if sharpness is None else sharpness
         return self._gathered(program, (position, normal, mirror, sharpness), 1.0, sky)
@@ -70,13 +74,13 @@ class IndirectLight:
     def bounced(self, position: np.ndarray, normal: np.ndarray, sky: float, pictures: dict[str, Texture]) -> np.ndarray:
         """Gathers less finely, by `sky` times the world's light: (N, 4) float32, irradiance over pi and the mean of
         what the world has in it. Otherwise as `gathered`."""
-        program = gather_program(self._names, False, bounces=True, media=self.media is not None)
+        program = gather_program(self._names, False, bounces=True, media=self.media is not None, colored=self._colored)
         return self._gathered(program, (position, normal, normal, np.ones(len(position))), sky, pictures)
 
     def within_media(self, position: np.ndarray, sky: float, pictures: dict[str, Texture]) -> np.ndarray:
         """Gathers from all sides at places (N, 3) in media: (N, 4) float32, mean radiance and the mean of what the
         world has in it. Otherwise as `bounced`."""
-        program = gather_program(self._names, False, bounces=True, media=True, every_side=True)
+        program = gather_program(self._names, False, bounces=True, media=True, every_side=True, colored=self._colored)
         found = np.zeros((len(position), 4), np.float32)
         for sign in (1.0, -1.0):
             up = np.broadcast_to(np.array([0.0, 0.0, sign]), position.shape)

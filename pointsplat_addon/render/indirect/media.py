@@ -25,15 +25,24 @@ class BakedMedia:
     low: np.ndarray  # (3,) float64: the grid's corner, in the tree's space
     edge: float  # of a cell
     shape: np.ndarray  # (3,) int64: cells along each axis
-    cells: np.ndarray  # (C, 4) float32, x running first: what is sent per unit of length, and extinction
+    # (C, 4) float32, x running first: what is sent per unit of length, and extinction; where that is coloured (C, 8),
+    # with zeros between both and after them
+    cells: np.ndarray
     block: int  # cells along the edge of a block
     # (B, 4) float32, x running first: fourth roots of mean radiance, but for that of lamps, in the blocks' middles
     light: np.ndarray
 
+    @property
+    def colored(self) -> bool:
+        """Whether extinction differs between the channels."""
+        return self.cells.shape[1] == 8
+
 
 def baked_media(grid: MediaGrid, sent: np.ndarray, light: np.ndarray) -> BakedMedia:
     """Returns media that send so much, (C, 3), and on which so much light falls, (R, 3) at the grid's receivers."""
-    cells = np.column_stack([sent, grid.extinction]).astype(np.float32)
+    none = np.zeros(len(sent), np.float32)
+    columns = [sent, none, grid.extinction, none] if grid.colored else [sent, grid.extinction]
+    cells = np.column_stack(columns).astype(np.float32)
     roots = grid.on_blocks(light) ** (1 / ROOT)
     padded = np.column_stack([roots, np.zeros(len(roots))]).astype(np.float32)
     return BakedMedia(grid.low, grid.edge, grid.shape, cells, grid.block, padded)
@@ -72,13 +81,16 @@ def _matter(cloud: PointCloud, table: MaterialTable, matrices: np.ndarray) -> Ma
     base = table.base_color[rows] if cloud.color is None else cloud.color
     albedo = np.clip(np.nan_to_num(base.astype(np.float64)), 0, 1)
     channels = np.clip(np.nan_to_num(extinction.astype(np.float64)), 0, MOST)
+    colored = channels.ndim == 2
     channels = np.broadcast_to(channels.reshape(len(cloud), -1), (len(cloud), 3)) * volume[:, None]
     lit = channels * albedo
     evenly = np.ones(len(cloud))
     if table.anisotropy is not None:
         evenly = np.maximum(1 - np.clip(table.anisotropy[rows], -1, 1).astype(np.float64), SMALLEST)
     scattering = lit * evenly[:, None]
-    whole = (channels - lit + scattering).mean(axis=1)
+    # Of equal channels albedo may differ, and with it what similarity leaves.
+    whole = channels - lit + scattering
+    colored |= bool((np.ptp(whole, axis=1) > 1e-6 * whole.max(axis=1)).any())
     emission = None
     if cloud.emission is not None:
         emission = np.clip(np.nan_to_num(cloud.emission.astype(np.float64)), 0, MOST) * volume[:, None]
@@ -86,8 +98,8 @@ def _matter(cloud: PointCloud, table: MaterialTable, matrices: np.ndarray) -> Ma
     position = (cloud.position.astype(np.float64) + cloud.origin) @ linear.transpose(0, 2, 1) + middle
     # What is counted per object unit, on a volume in object units, is an area that grows with the square of the scale.
     square = scale[:, None] ** 2
-    whole = (whole * square).reshape(-1)
-    sound = np.isfinite(position).all(axis=2).reshape(-1) & (whole < MOST)
+    sound = np.isfinite(position).all(axis=2).reshape(-1)
+    sound &= (whole.max(axis=1, initial=0.0) * square).reshape(-1) < MOST
 
     def of_all(values: np.ndarray) -> np.ndarray:
         found = (values * square[..., None]).reshape(-1, 3)
@@ -95,7 +107,8 @@ def _matter(cloud: PointCloud, table: MaterialTable, matrices: np.ndarray) -> Ma
 
     size = np.cbrt(a * b * c)
     apart = float(np.median(size) * np.median(scale)) / (2 * EVEN_SPACING)
+    hidden = of_all(whole) if colored else of_all(whole)[:, 0]
     return Matter(
-        position.reshape(-1, 3)[sound], whole[sound], of_all(scattering), of_all(lit),
+        position.reshape(-1, 3)[sound], hidden, of_all(scattering), of_all(lit),
         None if emission is None else of_all(emission), apart,
     )  # fmt: skip

@@ -209,6 +209,8 @@ def test_each_term_is_drawn_once_and_only_if_it_is_needed():
     assert len(drawn("diffuse_direct", "diffuse_indirect", "diffuse_color", bounces=True)) == 3
     assert drawn("volume_direct", "volume_indirect", "transmission_direct", "transmission_color") == []
     assert drawn("emission") == []
+    assert len(drawn("volume_direct", "volume_indirect", media=True)) == 1
+    assert len(drawn("volume_direct", "volume_indirect", media=True, bounces=True)) == 2
     assert len(drawn(*OF_LIGHT)) == 5
     every = drawn(*OF_LIGHT, bounces=True, transmits=True, media=True, emits=True)
-    assert len(every) == len(set(every)) == 12
+    assert len(every) == len(set(every)) == 13
