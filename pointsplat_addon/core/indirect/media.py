@@ -151,9 +151,10 @@ def media_grid(parts: Sequence[Matter]) -> MediaGrid | None:
     low = 0.5 * (low + high) - 0.5 * shape * edge
     cells = int(np.prod(shape))
     colored = any(part.extinction.ndim == 2 for part in parts)
+    alike = all(part.lit is part.scattering for part in parts)
     sums = np.zeros((12, cells))
     for part in parts:
-        columns = [*part.scattering.T, *part.lit.T]
+        columns = [*part.scattering.T, *(3 * [None] if alike else part.lit.T)]
         channels = part.extinction if part.extinction.ndim == 2 else part.extinction[:, None]
         columns += [*np.broadcast_to(channels, (len(channels), 3)).T] if colored else [channels[:, 0]] + 2 * [None]
         columns += [] if part.emission is None else [*part.emission.T]
@@ -164,6 +165,7 @@ def media_grid(parts: Sequence[Matter]) -> MediaGrid | None:
     sums = np.minimum(sums / edge**3, MOST_EXTINCTION)
     scattering, lit, emission = (sums[row : row + 3].T.astype(np.float32) for row in (0, 3, 9))
     extinction = (sums[6:9].T if colored else sums[6]).astype(np.float32)
+    lit = scattering if alike else lit
     block, receivers = _blocks(scattering.max(axis=1), shape, densest * edge)
     return MediaGrid(low, float(edge), shape, extinction, scattering, lit, emission, block, receivers)
 

@@ -107,8 +107,8 @@ def _matter(cloud: PointCloud, table: MaterialTable, matrices: np.ndarray) -> Ma
 
     size = np.cbrt(a * b * c)
     apart = float(np.median(size) * np.median(scale)) / (2 * EVEN_SPACING)
-    hidden = of_all(whole) if colored else of_all(whole)[:, 0]
+    hidden, scatters = of_all(whole) if colored else of_all(whole)[:, 0], of_all(scattering)
     return Matter(
-        position.reshape(-1, 3)[sound], hidden, of_all(scattering), of_all(lit),
+        position.reshape(-1, 3)[sound], hidden, scatters, scatters if (evenly == 1).all() else of_all(lit),
         None if emission is None else of_all(emission), apart,
     )  # fmt: skip
