@@ -11,11 +11,12 @@ from pointsplat_addon.core.indirect.tree import build_tree
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.materials import MaterialTable
 from pointsplat_addon.core.scene.world import World
+from pointsplat_addon.formats import record_file
 from pointsplat_addon.render.indirect import media
 from pointsplat_addon.render.indirect.bake import Baker
 from pointsplat_addon.render.indirect.known_sites import Slices
 from pointsplat_addon.render.indirect.light import BakedLight, IndirectLight
-from pointsplat_addon.render.indirect.media import baked_media, scene_media
+from pointsplat_addon.render.indirect.media import BakedMedia, baked_media, scene_media
 from pointsplat_addon.render.passes.indirect.pages import node_rows
 from scripts.scenes import drawing
 from scripts.scenes.build import materials, moved, points, scene
@@ -251,3 +252,12 @@ def test_matter_of_several_colours_scatters_no_more_than_falls_on_it():
     assert made is not None
     off = np.abs(made.light[grid.receivers, :3].astype(float) ** 4 - 1)
     assert off.max() < 0.004
+
+
+def test_light_on_media_is_read_from_disk_as_it_was(tmp_path):
+    made = baked(fog((-1, -1, -1), (1, 1, 1), (3, 3, 3), 1.0, 0.5), 1)
+    record_file.write(tmp_path / "light.psitem", made)
+    found = record_file.read(tmp_path / "light.psitem", {one.__name__: one for one in (BakedLight, BakedMedia)})
+    assert made.media is not None
+    for name in ("low", "edge", "shape", "cells", "block", "light"):
+        assert np.array_equal(getattr(found.media, name), getattr(made.media, name))
