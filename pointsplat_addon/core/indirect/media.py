@@ -31,9 +31,8 @@ class Matter:
     """N splats of media, in world space from some origin."""
 
     position: np.ndarray  # (N, 3) float64
-    extinction: (
-        np.ndarray
-    )  # (N,) float64: cross-sections, each extinction times volume; where g is not 0, by similarity
+    # (N,) or, where it is coloured, (N, 3) float64: cross-sections, each extinction times volume; by similarity
+    extinction: np.ndarray
     scattering: np.ndarray  # (N, 3) float64: of that, what is scattered
     lit: np.ndarray  # (N, 3) float64: cross-sections for the light of lamps, which similarity does not change
     emission: np.ndarray | None  # (N, 3) float64: radiance per unit of length, times volume

@@ -52,9 +52,11 @@ class LitTranslucent:
         self._uploads, self._run, self._indirect = uploads, run, indirect
         self.splats = splats = uploads.translucent
         self.lit_by: int | None = None  # which points of wide lights; None: they are not lit yet
-        program, count = None, 0
+        program, count, options = None, 0, plan.translucent
+        if options.gathered and (indirect is None or indirect.media is None):
+            options = replace(options, gathered=False)  # what is drawn of media hides and sends nothing
         if splats is not None:
-            program = light_program(plan.translucent, plan.lighting, plan.materials, splats.shared_lights)
+            program = light_program(options, plan.lighting, plan.materials, splats.shared_lights)
             count = splats.count
         captured = 0 if uploads.captured is None or uploads.captured.picture is not None else uploads.captured.most
         self.lit = LitSplats(device, plan.translucent, program, count, samples, captured)

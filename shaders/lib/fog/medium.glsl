@@ -42,10 +42,6 @@ vec3 ps_ball_irradiance(int index, ivec4 ends, vec3 position, out vec3 to_light)
 
 #endif
 
-#ifdef PS_GATHERED_MEDIUM
-#include "lib/indirect/medium_light.glsl"
-#endif
-
 // The mean radiance of the world.
 vec3 ps_ambient()
 {
@@ -63,6 +59,10 @@ vec3 ps_ambient()
   return vec3(0.0);
 #endif
 }
+
+#ifdef PS_GATHERED_MEDIUM
+#include "lib/indirect/medium_light.glsl"
+#endif
 
 // Light that a medium of this albedo scatters once towards the eye, over its extinction; g is Henyey and Greenstein's.
 // across: optical depth of the piece of the medium that the light of its middle stands for. Light from the eye's side is

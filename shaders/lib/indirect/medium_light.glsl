@@ -12,7 +12,8 @@ vec3 ps_light_of_block(ivec3 at)
 vec3 ps_medium_light(vec3 position)
 {
   ivec3 last = u.medium_blocks.xyz - 1;
-  vec3 at = clamp((u.blocks_from_view * vec4(position, 1.0)).xyz - 0.5, vec3(0.0), vec3(last)), share = fract(at);
+  vec3 in_blocks = (u.blocks_from_view * vec4(position, 1.0)).xyz;
+  vec3 at = clamp(in_blocks - 0.5, vec3(0.0), vec3(last)), share = fract(at);
   ivec3 first = ivec3(floor(at));
   vec3 found = vec3(0.0);
   for (int corner = 0; corner < 8; corner++) {
@@ -20,5 +21,7 @@ vec3 ps_medium_light(vec3 position)
     vec3 weight = mix(1.0 - share, share, vec3(step_to));
     found += weight.x * weight.y * weight.z * ps_light_of_block(min(first + step_to, last));
   }
-  return found * found * found * found;
+  // What light does not look at, as diffuse rays do not look at it, has no block there.
+  bool within = all(greaterThan(in_blocks, vec3(-1.0))) && all(lessThan(in_blocks, vec3(last) + 2.0));
+  return within ? found * found * found * found : ps_ambient();
 }

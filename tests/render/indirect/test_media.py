@@ -261,3 +261,13 @@ def test_light_on_media_is_read_from_disk_as_it_was(tmp_path):
     assert made.media is not None
     for name in ("low", "edge", "shape", "cells", "block", "light"):
         assert np.array_equal(getattr(found.media, name), getattr(made.media, name))
+
+
+def test_smoke_that_light_does_not_look_at_is_drawn_as_without():
+    """Where its object is not visible to diffuse rays, nothing is known of what falls on it."""
+    case = under_smoke()
+    scatters = np.array([one.cloud is None for one in case.scene.geometries])[case.scene.instances.geometry]
+    blind = replace(case.scene, instances=replace(case.scene.instances, scatters=scatters))
+    found = drawing.render(replace(case, scene=blind)).pixels["combined"]
+    assert np.isfinite(found).all()
+    assert found[..., :3].mean() > drawing.render(case).pixels["combined"][..., :3].mean()
