@@ -30,7 +30,7 @@ OF_SURFACES = {"diffuse": DIFFUSE, "glossy": GLOSSY, "transmission": TRANSMISSIO
 class Light:
     """What kinds of light a picture has: what is not there is not drawn."""
 
-    bounces: bool  # surfaces send each other light
+    bounces: bool  # surfaces and media send each other light
     transmits: bool  # something is seen through glass
     media: bool  # something fills a volume
     emits: bool  # something that is drawn emits light
@@ -45,7 +45,7 @@ class Light:
         transmits = plan.panes and scene.materials.glass is not None
         glows = plan.variant.emission or "PS_HAS_GLOW" in plan.materials or scene.world.fog is not None
         emits = glows or (translucent is not None and (translucent.emission or translucent.captured))
-        return cls(plan.indirect and bounces > 0, transmits, media, emits, trained)
+        return cls((plan.indirect or plan.gathers_media) and bounces > 0, transmits, media, emits, trained)
 
 
 def light_passes(
@@ -93,8 +93,8 @@ def light_passes(
             both = transmitted() if name == TRANSMISSION else parts(name)
             found |= {f"{stem}_direct": _over(both[0], color(name)), f"{stem}_indirect": _over(both[1], color(name))}
     if {"volume_direct", "volume_indirect"} & asked:
-        # Media scatter light once.
-        found |= {"volume_direct": term(VOLUME) if light.media else zeros, "volume_indirect": zeros}
+        direct, indirect = parts(VOLUME) if light.media else (zeros, zeros)
+        found |= {"volume_direct": direct, "volume_indirect": indirect}
     if "environment" in asked:
         found["environment"] = term(ENVIRONMENT)
     if "emission" in asked:

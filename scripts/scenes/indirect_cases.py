@@ -1,4 +1,5 @@
-"""Cases with indirect light: in a corner by a sun and a sky; among balls and strands by what glows and by a picture."""
+"""Cases with indirect light: in a corner by a sun and a sky; among balls and strands by what glows and by a picture;
+under smoke."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ from pointsplat_addon.core.scene.world import World
 from scripts.scenes.build import materials, mesh, moved, points, scene, strand_lines, sun
 from scripts.scenes.cameras import camera
 from scripts.scenes.case import Case
-from scripts.scenes.clouds import sphere_cloud
+from scripts.scenes.clouds import smoke_cloud, sphere_cloud
 from scripts.scenes.lit_cases import environment
 from scripts.scenes.meshes import cube_mesh, plane_mesh
 
@@ -43,3 +44,20 @@ def among_balls_and_strands() -> Case:
     )
     lit = scene(*things, lights=(), world=environment().scene.world, table=table)
     return Case(lit, camera((0.4, -3.0, 0.8)), SETTINGS)
+
+
+def under_smoke() -> Case:
+    """A ball of smoke over a floor, beside a red cube, by a sun and a sky."""
+    table = materials(2, base_color=[[0.7, 0.7, 0.7], [0.7, 0.1, 0.1]], anisotropy=np.array([0.3, 0], np.float32))
+    block = replace(cube_mesh("cube beside smoke", 0.8), materials=(1,), material=np.full(12, 1, np.uint16))
+    cloud = smoke_cloud(8, 3.0)
+    things = (
+        (
+            points("smoke over a floor", replace(cloud, color=np.full_like(cloud.position, 0.9))),
+            moved((-0.4, 0, 0), 0.7),
+        ),
+        (mesh(block, "POLYGONS"), moved((0.9, 0, -0.4))),
+        (mesh(plane_mesh("floor under smoke", 4.0), "POLYGONS"), LAID),
+    )
+    lit = scene(*things, lights=[sun(2.0)], world=World(np.array([0.3, 0.4, 0.6])), table=table)
+    return Case(lit, camera((0.4, -3.0, 0.6)), replace(SETTINGS, shadow_resolution=64))

@@ -5,11 +5,21 @@
 //   out_glossy: mean radiance of surfaces over the lobe around the mirrored view, and the share of the lobe that is open
 // A walk meets near nodes first. A node is opened until it is smaller than a cell; then it covers as much of the cells under it
 // as it is large: what surfaces cover adds up, so that they are tight; leaves and hairs hide each other as if they lay there by
-// chance. PS_GLOSSY: out_glossy is wanted.
+// chance. PS_GLOSSY: out_glossy is wanted. PS_MEDIA: media hide and send light, too, along PS_RAYS x PS_RAYS rays through each cell.
+// PS_EVERY_SIDE: of a hemisphere, half of what a receiver within a medium sees: without the cosine.
 
 #include "lib/light/environment.glsl"
 #include "lib/indirect/tree.glsl"
 #include "lib/indirect/hemisphere.glsl"
+#ifdef PS_MEDIA
+#include "lib/indirect/media.glsl"
+#endif
+
+#ifdef PS_EVERY_SIDE
+#define PS_COSINE(direction) 1.0
+#else
+#define PS_COSINE(direction) (direction).z
+#endif
 
 #define PS_TURNS 4
 #define PS_STACK 24  // more than the tree has levels
@@ -33,6 +43,12 @@
 float ps_covered[PS_CELLS * PS_CELLS];  // share of the cell
 float ps_weight[PS_CELLS * PS_CELLS];  // of what covers it: solid angle times cosine
 vec3 ps_light[PS_CELLS * PS_CELLS];  // that comes from what covers it, times solid angle and cosine
+#ifdef PS_MEDIA
+float ps_distance[PS_CELLS * PS_CELLS];  // of what covers it, times ps_weight
+#ifdef PS_GLOSSY
+vec3 ps_mirrored[PS_CELLS * PS_CELLS];  // what PsGathered has of it, before media hide some
+#endif
+#endif
 float ps_fronts = 0.0, ps_backs = 0.0;  // solid angles of surfaces that were seen from before, and from behind
 float ps_left[PS_CELLS * PS_CELLS];  // one over the distance of what is seen from behind, the latest
 float ps_inside[PS_CELLS * PS_CELLS];  // covered by surfaces that are seen from before, less those from behind
@@ -49,9 +65,11 @@ float ps_lobe(vec3 direction, vec4 lobe)
   return exp(lobe.w * (dot(direction, lobe.xyz) - 1.0));
 }
 
-void ps_add_glossy(inout PsGathered sum, vec3 radiance, float solid_angle, vec3 direction, vec4 lobe)
+void ps_add_glossy(inout PsGathered sum, int cell, vec3 radiance, float solid_angle, vec3 direction, vec4 lobe)
 {
-#ifdef PS_GLOSSY
+#if defined(PS_GLOSSY) && defined(PS_MEDIA)
+  ps_mirrored[cell] += radiance * (solid_angle * ps_lobe(direction, lobe));
+#elif defined(PS_GLOSSY)
   sum.glossy += radiance * (solid_angle * ps_lobe(direction, lobe));
 #endif
 }
@@ -87,6 +105,9 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
     ps_covered[i] -= late;
     ps_weight[i] *= kept;
     ps_light[i] *= kept;
+#ifdef PS_MEDIA
+    ps_distance[i] *= kept;
+#endif
     ps_inside[i] += late;
   }
   float hides = entered * (ps_fronts >= PS_OUTSIDE * ps_backs ? PS_HIDES : 1.0) - late;
@@ -96,12 +117,15 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   ps_left[i] = seen_back > 0.0 && !look.scattered ? seen.nearness : ps_left[i];
   float open = 1.0 - ps_covered[i], covers = look.scattered ? (1.0 - exp(-whole)) * open : min(whole, open);
   ps_covered[i] += covers;
-  float weight = covers * cell * seen.direction.z;
+  float weight = covers * cell * PS_COSINE(seen.direction);
   ps_weight[i] += weight;
+#ifdef PS_MEDIA
+  ps_distance[i] += weight / max(seen.nearness, 1e-30);
+#endif
   sum.nearness += weight * seen.nearness;
   vec3 radiance = (entered * seen.radiance + seen_back * (look.scattered ? seen.radiance : look.inside)) / max(whole, 1e-30);
   ps_light[i] += radiance * weight;
-  ps_add_glossy(sum, radiance, covers * cell, seen.direction, lobe);
+  ps_add_glossy(sum, i, radiance, covers * cell, seen.direction, lobe);
 }
 
 // A piece is smaller than a cell, and counts as a square of a cell's size around it: cells are then covered more evenly than by
@@ -204,11 +228,17 @@ void main()
     ps_light[i] = vec3(0.0);
     ps_inside[i] = 0.0;
     ps_left[i] = 0.0;
+#ifdef PS_MEDIA
+    ps_distance[i] = 0.0;
+#ifdef PS_GLOSSY
+    ps_mirrored[i] = vec3(0.0);
+#endif
+#endif
   }
   PsGathered sum = PsGathered(vec3(0.0), 0.0, vec3(0.0));
   // Of the latest node that was opened: its first child, which octants it has children in, which of these are left, in the order
   // of the walk, and the octant that the receiver is in. On the stack: those before that have some left.
-  int first = u.root, there = 1, left = 1, own = 0;
+  int first = u.root, there = 1, left = first < 0 ? 0 : 1, own = 0;  // media may be alone
   int firsts[PS_STACK], octants[PS_STACK];
   int size = 0, opened = 0;
   // Software rasterisers take both ways of each branch, and loops once more if they end before their last line: what is dear, to
@@ -314,20 +344,47 @@ void main()
         vec3 part = ps_direction_from_cell(vec2(x, y) + vec2(k & 1, k >> 1) * 0.5 + 0.25);
         float of_part = 0.25 * ps_cell_solid_angle(part);
         angle += of_part;
-        weight += of_part * part.z;
+        weight += of_part * PS_COSINE(part);
       }
       vec3 direction = ps_direction_from_cell(vec2(x, y) + 0.5);
       int i = y * PS_CELLS + x;
       float covered = ps_covered[i], tight = min(covered + max(covered - PS_GAPS, 0.0) * PS_TIGHTENED, 1.0);
       float left = 1.0 - tight, scale = tight / max(covered, 1e-6);
+#ifdef PS_MEDIA
+      float surface = covered > 0.0 ? ps_distance[i] / max(ps_weight[i], 1e-30) : 0.0;
+      PsMarch air = PsMarch(vec3(0.0), PS_SHARE(0.0), vec3(0.0), PS_SHARE(0.0));
+      float all_shares = 0.0;
+      for (int k = 0; k < PS_RAYS * PS_RAYS; k++) {
+        vec3 part = ps_direction_from_cell(vec2(x, y) + (vec2(k % PS_RAYS, k / PS_RAYS) + 0.5) / float(PS_RAYS));
+        PsMarch one = ps_march(place.xyz, part.x * tangent + part.y * across + part.z * n, surface);
+        float share = ps_cell_solid_angle(part) * PS_COSINE(part);
+        all_shares += share;
+        air.before += share * one.before;
+        air.left_before += share * one.left_before;
+        air.all += share * one.all;
+        air.left += share * one.left;
+      }
+      air.before /= all_shares;
+      air.left_before /= all_shares;
+      air.all /= all_shares;
+      air.left /= all_shares;
+      vec3 sent = mix(air.all, air.before, tight);
+      sum.diffuse += ps_light[i] * (scale * air.left_before) + weight * sent;
+#else
       sum.diffuse += ps_light[i] * scale;
+#endif
       // What is open of a cell that is covered in part is where it is not: on the other side of its middle.
       float left_weight = left > 1e-3 ? clamp(weight - ps_weight[i] * scale, 0.0, weight) : 0.0;
       whole += weight;
 #ifdef PS_GLOSSY
       float of_lobe = angle * ps_lobe(direction, lobe);
       whole_lobe += of_lobe;
+#ifdef PS_MEDIA
+      sum.glossy += ps_mirrored[i] * air.left_before + of_lobe * sent;
+      open_lobe += left * of_lobe * dot(vec3(air.left), vec3(1.0 / 3.0));
+#else
       open_lobe += left * of_lobe;
+#endif
 #endif
       vec3 sky = vec3(0.0);
 #if defined(PS_HAS_WORLD)
@@ -339,6 +396,9 @@ void main()
       }
 #endif
       sky *= u.sky * left_weight;
+#ifdef PS_MEDIA
+      sky *= air.left;
+#endif
       sum.diffuse += sky;
       of_sky += dot(sky, vec3(1.0 / 3.0));
     }

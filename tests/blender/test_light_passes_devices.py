@@ -11,7 +11,7 @@ from pointsplat_addon.render.passes.outputs import OF_LIGHT
 from scripts.scenes.cases import CASES
 
 # Meshes and points; indirect light and strands; media that emit; coloured glass; fog; captured splats.
-SCENES = ("mixed", "among_balls_and_strands", "tinted_smoke", "tinted_panes", "in_smoke", "captured_lit")
+SCENES = ("mixed", "among_balls_and_strands", "under_smoke", "tinted_smoke", "tinted_panes", "in_smoke", "captured_lit")
 
 
 @pytest.mark.parametrize("name", SCENES)

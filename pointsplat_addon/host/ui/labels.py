@@ -179,13 +179,13 @@ LABELS: dict[str, tuple[str, str]] = {
     ),
     "use_indirect": (
         "Indirect Light",
-        "Objects hide the world from each other, and send each other light, as far as it is diffuse. Drawn by the "
-        "Visibility Buffer; it comes into viewports once the view stands still",
+        "Objects, smoke and clouds hide the world from each other, and send each other light, as far as it is diffuse. "
+        "Drawn by the Visibility Buffer; it comes into viewports once the view stands still",
     ),
     "bounces": (
         "Bounces",
-        "Number of times that light goes from surface to surface before it reaches what is seen; without any, objects "
-        "hide the world, and those that emit light shine",
+        "Number of times that light goes from surface to surface, or is scattered again in smoke, before it reaches "
+        "what is seen; without any, objects hide the world, and those that emit light shine",
     ),
     "use_eye_dome": (
         "Eye-Dome Lighting",

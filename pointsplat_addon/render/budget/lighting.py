@@ -50,7 +50,7 @@ class Lighting:
         frame = None
         try:
             frame = self._renderer.start(self._scene, self._request, slices)
-            if frame.frame_plan.plan.indirect:
+            if frame.frame_plan.plan.indirect or frame.frame_plan.plan.gathers_media:
                 self.done = not self._sample(frame)
                 slices.seconds = math.inf
                 self.frame, frame = frame, None

@@ -15,6 +15,7 @@ from ...core.strand.segments import sample_offsets
 from ..device.clock import Clock
 from ..device.protocol import Texture
 from ..indirect.known_sites import Slices
+from ..indirect.light import IndirectLight
 from ..passes.captured.half_depth import half_depth
 from ..passes.gbuffer import GBuffer
 from ..passes.grouping.centre import CentreDepths
@@ -87,6 +88,7 @@ class Frame:
         self.lens: LensSamples | None = None
         self.backdrop: Backdrop | None = None
         self.adaptive: Adaptive | None = None
+        self._indirect: IndirectLight | None = None
         self.lit: LitTranslucent | None = None
         self.translucent: Translucent | None = None
         self.visibility: Visibility | None = None
@@ -153,12 +155,14 @@ class Frame:
             gather = 2 << count  # two pixels of the coarsest level on either side
             self.adaptive = self._own(Adaptive(device, self.targets.sums[0], threshold, gather, centre))
         self.shading = Shading(device, frame_plan.scene, plan, request, self.uploads, self.targets, self.backdrop)
+        self._indirect = self._kept_light() if plan.indirect or plan.gathers_media else None
         if plan.defocus:
             transparent = frame_plan.scene.transparent
             self.out_of_focus = self._own(OutOfFocus(device, plan, self.uploads, self.targets, transparent, run))
         elif plan.translucent is not None:
             samples = request.samples * max(plan.sub_samples, 1)
-            self.lit = self._own(LitTranslucent(device, plan, self.uploads, samples, run))
+            on_media = self._indirect if plan.translucent.gathered else None
+            self.lit = self._own(LitTranslucent(device, plan, self.uploads, samples, run, on_media))
         if self.targets.visibility is not None:
             self._allocate_visibility(self.targets.visibility)
         elif self.lit is not None:
@@ -169,7 +173,9 @@ class Frame:
         if self.lit is not None:
             over = self._own(TranslucentLayers(device, plan, self.lit.lit, targets, self.targets.combined_target, run))
         passes = self.frame_plan.request.passes
-        indirect = self._indirect_light() if plan.indirect else None
+        indirect = None
+        if plan.indirect and self._indirect is not None:
+            indirect = GroupsInIndirectLight(device, self._indirect, self.uploads, plan.variant, self.slices)
         part, panes = self.frame_plan.request.part if self._in_parts else (0, 1), None
         if plan.panes:
             panes = self._own(
@@ -192,19 +198,18 @@ class Frame:
             )
         )
 
-    def _indirect_light(self) -> GroupsInIndirectLight | None:
-        """Returns the light that surfaces receive from each other; None where there are none."""
+    def _kept_light(self) -> IndirectLight | None:
+        """Returns the light that surfaces and media receive from each other; None where there are none."""
         device, frame_plan, uploads, store = self.device, self.frame_plan, self.uploads, self.renderer.store
-        camera, bounces, found = frame_plan.request.camera, frame_plan.request.settings.bounces, []
+        camera, bounces = frame_plan.request.camera, frame_plan.request.settings.bounces
+        found: list[IndirectLight | None] = []
         scene, plan, check = frame_plan.scene, frame_plan.plan, self.clock.check
 
         def make() -> None:
             found.append(kept_light(device, uploads, scene, camera, plan, bounces, store, check, self.slices))
 
         self.clock.run("light tree", make)
-        if found[0] is None:
-            return None
-        return GroupsInIndirectLight(device, found[0], uploads, plan.variant, self.slices)
+        return found[0]
 
     # Parts
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from ...shading.interface import Interface
 from ..device.protocol import Device, Target, Texture
+from ..indirect.light import IndirectLight
 from ..passes.translucent.blend import COARSE, ENLARGE, SHOW, add_program, depth_program
 from ..passes.translucent.light import light_program
 from ..passes.translucent.lit_splats import LitSplats
@@ -40,19 +41,22 @@ class LitTranslucent:
         uploads: Uploads,
         samples: int,
         run: Callable[[str, Callable[[], None]], None],
+        indirect: IndirectLight | None = None,
     ) -> None:
         """Makes the program that lights the splats.
 
-        `samples`: of the picture. `run` times each pass. Raises DeviceError if there are more splats than a texture
-        holds.
+        `samples`: of the picture. `run` times each pass. `indirect`: light that falls on media. Raises DeviceError if
+        there are more splats than a texture holds.
         """
         assert plan.translucent is not None
-        self._uploads, self._run = uploads, run
+        self._uploads, self._run, self._indirect = uploads, run, indirect
         self.splats = splats = uploads.translucent
         self.lit_by: int | None = None  # which points of wide lights; None: they are not lit yet
-        program, count = None, 0
+        program, count, options = None, 0, plan.translucent
+        if options.gathered and (indirect is None or indirect.media is None):
+            options = replace(options, gathered=False)  # what is drawn of media hides and sends nothing
         if splats is not None:
-            program = light_program(plan.translucent, plan.lighting, plan.materials, splats.shared_lights)
+            program = light_program(options, plan.lighting, plan.materials, splats.shared_lights)
             count = splats.count
         captured = 0 if uploads.captured is None or uploads.captured.picture is not None else uploads.captured.most
         self.lit = LitSplats(device, plan.translucent, program, count, samples, captured, plan.widest_translucent)
@@ -69,7 +73,10 @@ class LitTranslucent:
             textures = {**self.splats.textures, **self._uploads.shading}
             if self.splats.shared_lights:
                 textures |= self.splats.light_shares(points, view, self._run)
-            self._run("light", lambda: self.lit.light(view, len(self._uploads.scene.lights), textures))
+            lights, gathered = len(self._uploads.scene.lights), {}
+            if self._indirect is not None and (on := self._indirect.on_media(view.camera.view_from_world)) is not None:
+                gathered, textures["ps_medium_light_of"] = on
+            self._run("light", lambda: self.lit.light(view, lights, textures, **gathered))
         captured = self._uploads.captured
         if captured is not None and captured.picture is None:
             self._run("captured", lambda: captured.project(self.lit, view))

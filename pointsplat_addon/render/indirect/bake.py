@@ -1,4 +1,4 @@
-"""Lights a scene's surfels: by lamps, by the sky, and by each other, some bounces on."""
+"""Lights a scene's surfels and media: by lamps, by the sky, and by each other, some bounces on."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable, Generator, Iterator
 
 import numpy as np
 
+from ...core.indirect.media import MediaGrid
 from ...core.indirect.sites import hashed
 from ...core.indirect.surfels import Surfels
 from ...core.indirect.tree import build_tree
@@ -17,10 +18,13 @@ from ..passes.indirect.pages import node_shapes, with_radiance
 from ..passes.indirect.surfel_light import lit_surfels
 from .known_sites import Slices
 from .light import BakedLight, IndirectLight, coherent_rows, world_names
+from .media import baked_media
 
 MOST_BOUNCE_RECEIVERS = 3000  # of either side, where light is gathered for further bounces
 FEWER = 2  # times fewer receivers gather all that comes after the first bounce of lamps' light, which is even
 LEAST_GAIN = 0.01  # of the light of surfels, below which what a bounce brings is the last
+LEAST_GAIN_OF_MEDIA = 0.005  # below which bounces in media are taken to become less evenly
+MOST_LEFT = 0.98  # of a bounce, in the next one
 THINNER = 0.25  # along the normal
 ALIKE = 0.9  # cosine between normals of surfels and of receivers next to theirs that light them, too
 SMALLEST_SHARE = 10.0  # percent of surfels that are smaller than what is told apart
@@ -37,23 +41,50 @@ class BounceReceivers:
     weights: np.ndarray  # (4, N) float32, 1 together
 
     def spread(self, found: np.ndarray) -> np.ndarray:
-        """Returns for all surfels (2, N, 3) what receivers have gathered, (2, R, 3)."""
-        whole = np.zeros((2, self.others.shape[1], 3), np.float32)
+        """Returns for all surfels (2, N, C) what receivers have gathered, (2, R, C)."""
+        whole = np.zeros((2, self.others.shape[1], found.shape[2]), np.float32)
         for other, weight in zip(self.others, self.weights, strict=True):
             whole += found[:, other] * weight[:, None]
         return whole
 
 
-class Baker:
-    """Lights surfels by lamps, by the sky and by each other, so many times; in steps, since it may take seconds."""
+@record
+class Leaving:
+    """What is sent: by N surfels, and by C cells of media."""
 
-    def __init__(self, scene: Scene, surfels: Surfels, lighting: tuple[str, ...], bounces: int) -> None:
+    surfels: np.ndarray  # (2, N, 3) float32: radiance, outside and inside
+    media: np.ndarray  # (C, 3) float32: radiance per unit of length; C is 0 where there are none
+
+    def __add__(self, other: Leaving) -> Leaving:
+        return Leaving(self.surfels + other.surfels, self.media + other.media)
+
+
+@record
+class Received:
+    """What falls on R sides of surfels and on M receivers in media, with the mean of the world's part in it."""
+
+    surfels: np.ndarray  # (2, R, 4) float32: irradiance over pi, outside and inside
+    media: np.ndarray  # (M, 4) float32: mean radiance
+
+
+class Baker:
+    """Lights surfels and media by lamps, by the sky and by each other, so many times; in steps, since it may take
+    seconds."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        surfels: Surfels,
+        lighting: tuple[str, ...],
+        bounces: int,
+        media: MediaGrid | None = None,
+    ) -> None:
         """`lighting`: PS_ names of lamps, shadows and the sky."""
-        self._scene, self._surfels, self._bounces = scene, surfels, bounces
+        self._scene, self._surfels, self._bounces, self._media = scene, surfels, bounces, media
         self._names = world_names(lighting)
         self._lamps = tuple(name for name in lighting if name not in self._names)
-        self._tree = build_tree(surfels)
-        self._shapes = node_shapes(self._tree)
+        self._tree = build_tree(surfels) if len(surfels) else None
+        self._shapes = np.zeros((0, 16), np.float32) if self._tree is None else node_shapes(self._tree)
         self._steps = self._in_steps()
         self._light: IndirectLight | None = None  # of the nodes that are gathered from
 
@@ -90,84 +121,135 @@ class Baker:
                 raise
 
     def _in_steps(self) -> Generator[None, None, BakedLight]:
-        surfels, bounces = self._surfels, self._bounces
-        leaving = np.broadcast_to(surfels.emission, (2, len(surfels), 3))
+        bounces = self._bounces
+        shines = Leaving(np.broadcast_to(self._surfels.emission, (2, len(self._surfels), 3)), self._shining)
         if bounces == 0:
-            return self._with(leaving)
+            return (yield from self._finished(shines))
         direct = self._direct()
-        receivers = bounce_receivers(surfels, MOST_BOUNCE_RECEIVERS)
-        at = surfels.take(receivers.rows)
+        receivers = bounce_receivers(self._surfels, MOST_BOUNCE_RECEIVERS)
+        at = self._surfels.take(receivers.rows)
         # What lamps light is bright in places: it is gathered together with the sky, so that it is a
         # bounce ahead of what the sky lights.
-        lit = surfels.albedo * direct if bounces > 1 else np.zeros_like(direct)
+        lit = direct if bounces > 1 else Leaving(np.zeros_like(direct.surfels), np.zeros_like(direct.media))
         yield
-        found, of_sky = yield from self._gathered(at, surfels.emission + lit, 1.0)
-        total = surfels.emission + surfels.albedo * (direct + receivers.spread(found))
+        found = yield from self._gathered(at, shines + lit, 1.0)
+        total = shines + direct + self._scattered(receivers, found)
         # All further light is even, and gathered at fewer.
         fewer = bounce_receivers(at, MOST_BOUNCE_RECEIVERS // FEWER)
-        some, gain = at.take(fewer.rows), found
+        some, gain, now = at.take(fewer.rows), found, np.zeros(3)
         for number in range(1, bounces):
-            sends = surfels.albedo * receivers.spread(gain)
+            sends = self._scattered(receivers, gain)
             if number == bounces - 1:
-                sends *= self._not_ahead(at, found, of_sky, lit)
-            if _share(sends, total) < LEAST_GAIN:
+                sends = self._not_ahead(sends, at, found, shines, lit)
+            of_media = (_share(*(of.media[None, :, k : k + 1] for of in (sends, total))) for k in range(3))
+            shares = _share(sends.surfels, total.surfels), max(of_media)
+            before, now = now, sends.media.sum(axis=0, dtype=float)
+            if shares[0] < LEAST_GAIN and shares[1] < LEAST_GAIN_OF_MEDIA:
+                ratio = np.where(before > 0, np.minimum(now / np.maximum(before, 1e-30), MOST_LEFT), 0.0)
+                left = ratio * (1 - ratio ** (bounces - number)) / (1 - ratio)
+                total = Leaving(total.surfels, total.media + left.astype(np.float32) * sends.media)
                 break
-            gathered, _ = yield from self._gathered(some, sends, 0.0)
-            gain = fewer.spread(gathered)
-            total = total + surfels.albedo * receivers.spread(gain)
-        return self._with(total)
+            gathered = yield from self._gathered(some, sends, 0.0)
+            gain = Received(fewer.spread(gathered.surfels), gathered.media)
+            total = total + self._scattered(receivers, gain)
+        return (yield from self._finished(total))
 
-    def _not_ahead(self, at: Surfels, found: np.ndarray, of_sky: np.ndarray, lit: np.ndarray) -> np.float32:
+    @property
+    def _shining(self) -> np.ndarray:
+        """(C, 3): what cells of media emit."""
+        return np.zeros((0, 3), np.float32) if self._media is None else self._media.emission
+
+    def _scattered(self, receivers: BounceReceivers, found: Received) -> Leaving:
+        """What is sent on of light that falls on receivers."""
+        media = self._media
+        of_surfels = self._surfels.albedo * receivers.spread(found.surfels[..., :3])
+        if media is None:
+            return Leaving(of_surfels, self._shining)
+        return Leaving(of_surfels, media.scattering * media.in_cells(media.on_blocks(found.media[:, :3])))
+
+    def _not_ahead(self, sends: Leaving, at: Surfels, found: Received, shines: Leaving, lit: Leaving) -> Leaving:
         """The share that the sky and what shines has in the first bounce; that of lamps is a bounce ahead."""
-        sends = at.area * at.albedo.mean(axis=1)
-        sky = float((sends * of_sky).sum() / max(float((sends * found.mean(axis=2)).sum()), 1e-30))
-        shines, lamps = (float((self._surfels.area[:, None] * x).sum()) for x in (2 * self._surfels.emission, lit))
-        return np.float32(sky + (1 - sky) * shines / max(shines + lamps, 1e-30))
+        of_surfels = self._surfels.area[:, None]
+        weight = at.area * at.albedo.mean(axis=1)
+        some = _not_of_lamps(found.surfels, weight, of_surfels * shines.surfels, of_surfels * lit.surfels)
+        others = _not_of_lamps(found.media, np.ones(len(found.media)), shines.media, lit.media)
+        return Leaving(np.float32(some) * sends.surfels, np.float32(others) * sends.media)
 
-    def _with(self, leaving: np.ndarray) -> BakedLight:
-        """`leaving` (2, N, 3): radiance that leaves surfels, outside and inside."""
-        radiance = self._tree.radiance(self._surfels, *leaving)
-        return BakedLight(self._surfels.origin, with_radiance(self._shapes, radiance))
+    def _finished(self, leaving: Leaving) -> Generator[None, None, BakedLight]:
+        """All light, with what falls on media at last."""
+        if self._media is None:
+            return self._with(leaving)
+        found = yield from self._gathered(self._surfels.take(np.zeros(0, np.int64)), leaving, 1.0)
+        return self._with(leaving, found.media[:, :3])
 
-    def _direct(self) -> np.ndarray:
-        """(2, N, 3): irradiance over pi by lamps, outside and inside."""
-        surfels, lights = self._surfels, len(self._scene.lights)
+    def _with(self, leaving: Leaving, in_media: np.ndarray | None = None) -> BakedLight:
+        """in_media (M, 3): mean radiance at receivers there."""
+        nodes, media = self._shapes, None
+        if self._tree is not None:
+            nodes = with_radiance(self._shapes, self._tree.radiance(self._surfels, *leaving.surfels))
+        if (grid := self._media) is not None:
+            none = np.zeros((len(grid.receivers), 3), np.float32)
+            media = baked_media(grid, leaving.media, none if in_media is None else in_media)
+        return BakedLight(self._surfels.origin, nodes, media)
+
+    def _direct(self) -> Leaving:
+        """What is sent on of the light of lamps."""
+        surfels, media, lights = self._surfels, self._media, len(self._scene.lights)
         found = np.zeros((2, len(surfels), 3), np.float32)
-        if not lights:
-            return found
-        for side, rows, position, normal, share in sides(surfels):
-            lit = lit_surfels(self._device, self._lamps, lights, position, normal, self._textures)
-            found[side, rows] += np.float32(share) * lit
-        return found
+        sent = np.zeros_like(self._shining)
+        if lights:
+            for side, rows, position, normal, share in sides(surfels):
+                lit = lit_surfels(self._device, self._lamps, lights, position, normal, self._textures)
+                found[side, rows] += np.float32(share) * lit
+        if lights and media is not None:
+            cells = media.lit_cells
+            lit = np.zeros((len(cells), 3), np.float32)
+            parts = media.parts(len(cells))
+            for at in parts:
+                place = (media.centres(cells) + at).astype(np.float32)
+                up = np.ones_like(place)
+                lit += lit_surfels(self._device, self._lamps, lights, place, up, self._textures, True)
+            sent[cells] = media.lit[cells] * lit / np.float32(len(parts))
+        return Leaving(surfels.albedo * found, sent)
 
-    def _gathered(
-        self, surfels: Surfels, leaving: np.ndarray, sky: float
-    ) -> Generator[None, None, tuple[np.ndarray, np.ndarray]]:
-        """Irradiance over pi, outside and inside of some surfels, by what leaves all and by `sky` times the world's
-        light: (2, R, 3), and the mean of the world's part, (2, R)."""
+    def _gathered(self, surfels: Surfels, leaving: Leaving, sky: float) -> Generator[None, None, Received]:
+        """What falls on some surfels, and on receivers in media, of what leaves all and of `sky` times the world's
+        light."""
+        places = np.zeros((0, 3)) if self._media is None else self._media.places
         found = np.zeros((2, len(surfels), 4), np.float32)
-        if not leaving.any() and not (self._names and sky):
-            return found[..., :3], found[..., 3]
+        in_media = np.zeros((len(places), 4), np.float32)
+        if not leaving.surfels.any() and not leaving.media.any() and not (self._names and sky):
+            return Received(found, in_media)
         nodes = self._with(leaving)
         for side, some, position, normal, share in sides(surfels):
 
             def bounced(rows: np.ndarray, place: np.ndarray = position, up: np.ndarray = normal) -> np.ndarray:
-                return self._bounced(nodes, (place[rows], up[rows]), sky)
+                light, pictures = self._of(nodes)
+                return light.bounced(place[rows], up[rows], sky, pictures)
 
             left = np.argsort(coherent_rows(position, normal))
             while len(left):
                 rows, light, left = self._slices.gathered(left, bounced)
                 found[side, some[rows]] += np.float32(share) * light
                 yield
-        self._release()
-        return found[..., :3], found[..., 3]
 
-    def _bounced(self, nodes: BakedLight, at: tuple[np.ndarray, np.ndarray], sky: float) -> np.ndarray:
-        """What is gathered at places with normals (n, 3): (n, 4) float32."""
-        pictures = {name: texture for name, texture in self._textures.items() if name == "ps_environment"}
+        def within(rows: np.ndarray) -> np.ndarray:
+            light, pictures = self._of(nodes)
+            return light.within_media(places[rows], sky, pictures)
+
+        left = np.argsort(coherent_rows(places, np.ones_like(places)))
+        while len(left):
+            rows, light, left = self._slices.gathered(left, within)
+            in_media[rows] = light
+            yield
+        self._release()
+        return Received(found, in_media)
+
+    def _of(self, nodes: BakedLight) -> tuple[IndirectLight, dict[str, Texture]]:
+        """What is gathered from, and the world's picture."""
         if self._light is None:
             self._light = IndirectLight(self._device, nodes, self._scene.world, self._names)
-        return self._light.bounced(*at, sky, pictures)
+        return self._light, {name: texture for name, texture in self._textures.items() if name == "ps_environment"}
 
     def _release(self) -> None:
         """Frees what is on the device."""
@@ -176,14 +258,26 @@ class Baker:
         self._light = None
 
 
+def _not_of_lamps(found: np.ndarray, weight: np.ndarray, shines: np.ndarray, lit: np.ndarray) -> float:
+    """The share of light (..., 4), weighed by (...), that is not of lamps: of the world, or of what shines itself."""
+    sky = float((weight * found[..., 3]).sum() / max(float((weight * found[..., :3].mean(axis=-1)).sum()), 1e-30))
+    shining, lamps = float(shines.sum(dtype=float)), float(lit.sum(dtype=float))
+    return sky + (1 - sky) * shining / max(shining + lamps, 1e-30)
+
+
 def _share(sends: np.ndarray, total: np.ndarray) -> float:
     """The share, mean over colours, that some of the light of surfels (2, N, 3) has in all of it."""
+    if total.size == 0:
+        return 0.0
     of_all = total.sum(axis=(0, 2))
     return float((sends.sum(axis=(0, 2)) / np.maximum(of_all + np.median(of_all), 1e-30)).mean())
 
 
 def bounce_receivers(surfels: Surfels, most: int) -> BounceReceivers:
     """Chooses about `most` sides of surfels, at which light is gathered for all."""
+    if len(surfels) == 0:
+        none = np.zeros((4, 0), np.int64)
+        return BounceReceivers(none[0], none, none.astype(np.float32))
     turned = surfels.normal @ SIDE_AXES.astype(np.float32)
     face = np.abs(turned).argmax(axis=1)
     side = 2 * face + (turned[np.arange(len(face)), face] < 0)

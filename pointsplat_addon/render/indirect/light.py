@@ -10,9 +10,10 @@ from ...core.numeric.record import record
 from ...core.scene.world import World
 from ...shading.interface import Interface
 from ..device.protocol import Device, Texture
-from ..passes.indirect.gather import COARSENESS, GATHER_BLOCK, Gather, gather_program
-from ..passes.indirect.pages import NODE_WIDTH, RECEIVER_WIDTH, paged_texture, receiver_texture
+from ..passes.indirect.gather import COARSENESS, Gather, gather_program
+from ..passes.indirect.pages import MEDIA_WIDTH, NODE_WIDTH, RECEIVER_WIDTH, paged_texture, receiver_texture
 from .known_sites import KnownSites
+from .media import BakedMedia
 
 
 @record
@@ -21,10 +22,11 @@ class BakedLight:
 
     origin: np.ndarray  # (3,) float64, world: of the tree's space, which has the world's axes
     nodes: np.ndarray  # (M, 16) float32, as of node_rows, the root last
+    media: BakedMedia | None = None
 
     @property
     def nbytes(self) -> int:
-        return self.nodes.nbytes
+        return self.nodes.nbytes + (0 if self.media is None else self.media.cells.nbytes + self.media.light.nbytes)
 
 
 class IndirectLight:
@@ -35,15 +37,19 @@ class IndirectLight:
         self._device, self._names = device, names
         self.origin = baked.origin
         self._baked: BakedLight | None = baked  # until something is gathered
-        self._root = len(baked.nodes) - 1
+        self._root, self.media = len(baked.nodes) - 1, baked.media
         self._table = light_texture((), world, np.eye(4))
         self._textures: dict[str, Texture] = {}
         self.known = KnownSites()
 
     @property
+    def _colored(self) -> bool:
+        return self.media is not None and self.media.colored
+
+    @property
     def empty(self) -> bool:
         """Whether nothing hides or scatters light."""
-        return self._root < 0
+        return self._root < 0 and self.media is None
 
     def gathered(
         self,
@@ -60,7 +66,7 @@ class IndirectLight:
         them is open.
         """
         glossy, count = sharpness is not None, len(position)
-        program = gather_program(self._names, glossy)
+        program = gather_program(self._names, glossy, media=self.media is not None, colored=self._colored)
         mirror = normal if mirror is None else mirror
         sharpness = np.ones(count, np.float32) if sharpness is None else sharpness
         return self._gathered(program, (position, normal, mirror, sharpness), 1.0, sky)
@@ -68,8 +74,19 @@ class IndirectLight:
     def bounced(self, position: np.ndarray, normal: np.ndarray, sky: float, pictures: dict[str, Texture]) -> np.ndarray:
         """Gathers less finely, by `sky` times the world's light: (N, 4) float32, irradiance over pi and the mean of
         what the world has in it. Otherwise as `gathered`."""
-        program = gather_program(self._names, False, bounces=True)
+        program = gather_program(self._names, False, bounces=True, media=self.media is not None, colored=self._colored)
         return self._gathered(program, (position, normal, normal, np.ones(len(position))), sky, pictures)
+
+    def within_media(self, position: np.ndarray, sky: float, pictures: dict[str, Texture]) -> np.ndarray:
+        """Gathers from all sides at places (N, 3) in media: (N, 4) float32, mean radiance and the mean of what the
+        world has in it. Otherwise as `bounced`."""
+        program = gather_program(self._names, False, bounces=True, media=True, every_side=True, colored=self._colored)
+        found = np.zeros((len(position), 4), np.float32)
+        for sign in (1.0, -1.0):
+            up = np.broadcast_to(np.array([0.0, 0.0, sign]), position.shape)
+            receivers = position, up, up, np.ones(len(position))
+            found += np.float32(0.5) * self._gathered(program, receivers, sky, pictures)
+        return found
 
     def _gathered(
         self, program: Interface, receivers: tuple[np.ndarray, ...], sky: float, pictures: dict[str, Texture]
@@ -81,7 +98,11 @@ class IndirectLight:
         for to, of in zip(laid, receivers, strict=True):
             to[rows] = of
         texture = receiver_texture(device, *laid)
-        record = GATHER_BLOCK.record(root=self._root, coarseness=COARSENESS, sky=sky)
+        values: dict[str, object] = {"root": self._root, "coarseness": COARSENESS, "sky": sky}
+        if (media := self.media) is not None:
+            values |= {"media_corner": (*media.low, media.edge), "media_cells": (*media.shape, 0)}
+        assert program.block is not None
+        record = program.block.record(**values)
         textures = self._uploaded() | pictures
         wanted = {name for _, name in program.samplers}
         textures = {name: texture for name, texture in textures.items() if name in wanted}
@@ -93,11 +114,31 @@ class IndirectLight:
             made.release()
             texture.release()
 
+    def on_media(self, view_from_world: np.ndarray) -> tuple[dict[str, object], Texture] | None:
+        """What lighting media reads in a view, (4, 4): values of GATHERED_FIELDS, and the texture of the light that
+        falls on them; None where there are none."""
+        media = self.media
+        if media is None:
+            return None
+        blocks_from_world = np.eye(4)
+        edge = media.block * media.edge
+        blocks_from_world[:3] /= edge
+        blocks_from_world[:3, 3] = -(self.origin + media.low) / edge
+        if "ps_medium_light_of" not in self._textures:
+            self._textures["ps_medium_light_of"] = paged_texture(self._device, media.light, MEDIA_WIDTH)
+        values: dict[str, object] = {
+            "blocks_from_view": blocks_from_world @ np.linalg.inv(view_from_world),
+            "medium_blocks": (*-(-media.shape // media.block), 0),
+        }
+        return values, self._textures["ps_medium_light_of"]
+
     def _uploaded(self) -> dict[str, Texture]:
         """The nodes and the world's colour, by sampler name."""
         if self._baked is not None:
             device, table = self._device, self._table
             self._textures["ps_nodes"] = paged_texture(device, self._baked.nodes, NODE_WIDTH)
+            if self.media is not None:
+                self._textures["ps_media"] = paged_texture(device, self.media.cells, MEDIA_WIDTH)
             self._baked = None
             if self._names:
                 lights = device.texture((table.shape[1], table.shape[0]), "RGBA32F", table.reshape(-1))

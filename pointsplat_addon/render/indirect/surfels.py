@@ -22,6 +22,7 @@ from ...core.surface.appearance import passing, point_cloud, shown_by
 from ...core.surface.evaluation import evaluate
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
+from ..prepare.separation import is_translucent
 from ..shadow.casting import cached_bounding_box
 from .density import Density, Spacing
 
@@ -45,7 +46,7 @@ def scene_density(scene: Scene, camera: Camera, store: Store) -> tuple[Density, 
     with np.errstate(all="ignore"):
         world = np.einsum("iab,ib->ia", matrices[:, :3, :3], middle) + matrices[:, :3, 3]
         around = np.einsum("iab,ib->ia", np.abs(matrices[:, :3, :3]), half)
-    usable = _usable(scene) & np.isfinite(world).all(axis=1) & np.isfinite(around).all(axis=1)
+    usable = usable_instances(scene) & np.isfinite(world).all(axis=1) & np.isfinite(around).all(axis=1)
     world[~usable], around[~usable] = 0, 0
     shown = usable & ~empty[scene.instances.geometry]
     origin = np.zeros(3)
@@ -54,7 +55,7 @@ def scene_density(scene: Scene, camera: Camera, store: Store) -> tuple[Density, 
     return Density(camera, world, around), origin
 
 
-def _usable(scene: Scene) -> np.ndarray:
+def usable_instances(scene: Scene) -> np.ndarray:
     """(I,) bool: instances that hide or scatter light, and whose transforms are finite."""
     sound, scatters = np.isfinite(scene.instances.world_from_object).all(axis=(1, 2)), scene.instances.scatters
     return sound if scatters is None else sound & scatters
@@ -62,10 +63,10 @@ def _usable(scene: Scene) -> np.ndarray:
 
 def scene_surfels(
     scene: Scene, density: Density, origin: np.ndarray, store: Store, check: Callable[[], None]
-) -> Surfels | None:
-    """Returns the surfels of everything that hides or scatters light; None where nothing does."""
+) -> Surfels:
+    """Returns the surfels of everything opaque that hides or scatters light."""
     found: list[Surfels] = []
-    rows_of = scene.instances.of_each(len(scene.geometries), _usable(scene))
+    rows_of = scene.instances.of_each(len(scene.geometries), usable_instances(scene))
     for geometry, rows in zip(scene.geometries, rows_of, strict=True):
         check()
         if len(rows) == 0:
@@ -76,11 +77,11 @@ def scene_surfels(
             if len(part):
                 found.append(part)
     if not found:
-        return None
+        return replace(_none(), origin=origin)
     whole = replace(joined(found), origin=origin)
     sound = np.isfinite(whole.position).all(axis=1) & np.isfinite(whole.area) & (whole.area > 0)
     sound &= np.isfinite(whole.normal).all(axis=1)
-    return whole if sound.all() else (whole.take(np.flatnonzero(sound)) if sound.any() else None)
+    return whole if sound.all() else whole.take(np.flatnonzero(sound))
 
 
 def _surfels(
@@ -109,7 +110,7 @@ def _surfels(
             each = zip(shown, matrices, spacings, strict=True)
             return [_of_mesh(own, table, one, at, kind) for own, one, at in each]
         return _of_instances(mesh, table, matrices, density.apart[rows], kind)
-    if geometry.cloud is not None and len(geometry.cloud) and geometry.cloud.opacity is None:
+    if geometry.cloud is not None and len(geometry.cloud) and not is_translucent(geometry, table):
         cloud = geometry.cloud
         return [_of_cloud(cloud, table, one, at) for one, at in zip(matrices, spacings, strict=True)]
     if geometry.strands is not None and len(geometry.strands):

@@ -22,7 +22,7 @@ from ..passes.gbuffer import Variant
 from ..passes.pages.point_page import PointOptions
 from ..passes.shading.averages import averaged
 from ..passes.shading.data import NEED_OWNER, data
-from ..passes.shading.terms import ENVIRONMENT, Term
+from ..passes.shading.terms import ENVIRONMENT, VOLUME, Term
 from ..passes.translucent.options import TranslucentOptions
 from ..passes.translucent.options import options as translucent_options
 from ..prepare.point_sets import Layer, PointSet
@@ -262,8 +262,10 @@ def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
         coats = () if table.coat is None else table.coat.roughness
         smoothest = 0.0 if varies else float(np.min([table.roughness.min(), *coats]))
         found = (*_world(scene.world), *light_names(scene.lights, smoothest))
-        if not found and not (table.coat is None and table.sheen is None) and (table.emission > 0).any():
-            found = ("PS_HAS_WORLD",)  # a black one: coats and fibres dim what shines below them
+        dims = not (table.coat is None and table.sheen is None) and (table.emission > 0).any()
+        if not found and (dims or _gathers(view)):
+            # A black one: coats and fibres dim what shines below them, and what is gathered is reflected by its table.
+            found = ("PS_HAS_WORLD",)
     return found + (() if view.shadows is None else _shadows(view.shadows))
 
 
@@ -282,10 +284,19 @@ def _shows_world(term: Term | None) -> bool:
 
 def _indirect(view: ViewToPlan, kinds: _Kinds) -> bool:
     """Whether surfaces hide the world from each other, or send each other light."""
+    return view.sub_samples > 0 and kinds.solid and _gathers(view)
+
+
+def _gathers(view: ViewToPlan) -> bool:
+    """Whether something that is drawn may receive light that is not of lamps alone."""
     scene, settings = view.scene, view.request.settings
-    drawn = not view.absences.indirect and view.picture and view.sub_samples > 0 and kinds.solid and view.reflects
+    drawn = not view.absences.indirect and view.picture and view.reflects
     emits = bool((scene.materials.emission > 0).any()) or any(
         isinstance(graph, MaterialGraph) and "emission" in graph.channels for graph in scene.materials.graphs
+    )
+    emits = emits or any(
+        one.cloud is not None and one.cloud.extinction is not None and one.cloud.emission is not None
+        for one in scene.geometries
     )
     world = scene.world.image is not None or bool(np.any(scene.world.color > 0))
     return drawn and not view.defocus and (emits or world or (settings.bounces > 0 and bool(scene.lights)))
@@ -359,9 +370,10 @@ def _translucent(view: ViewToPlan, kinds: _Kinds) -> TranslucentOptions | None:
         clouds, view.scene.materials, opaque, holdout, view.defocus, grouped, bool(captured),
         bool(view.prepared.captured_nodes),
     )  # fmt: skip
-    wanted = "depth" in view.request.passes
+    wanted, term = "depth" in view.request.passes, view.request.term
     return replace(
         found,
+        gathered=found.media and _gathers(view) and (term is None or (term.light == VOLUME and not term.color)),
         mattes=view.mattes and found.captured,
         depth=wanted and found.captured,
         trained=found.captured and not view.absences.trained,

@@ -55,6 +55,11 @@ class Plan:
     defocus: bool = False  # translucent splats are drawn together with what is out of focus: passes/defocus/gather.py
 
     @property
+    def gathers_media(self) -> bool:
+        """Whether what fills volumes gathers light."""
+        return self.translucent is not None and self.translucent.gathered
+
+    @property
     def solid(self) -> bool:
         """Whether something is in the G-buffer."""
         return self.points or self.polygons or self.spheres or self.lines

@@ -132,8 +132,11 @@ def reasons(plan: Plan, passes: frozenset[str], absences: Absences) -> dict[str,
         found["backdrop"] = absences.blurred_world
     if not plan.background:
         found["background"] = "the pass defocus draws the world" if plan.defocus else "the film is transparent"
+    unscattered = absences.indirect or "nothing that is drawn would scatter it"
     if not plan.indirect:
-        found |= dict.fromkeys(("light tree", "gather"), absences.indirect or "nothing that is drawn would scatter it")
+        found["gather"] = unscattered
+    if not (plan.indirect or plan.gathers_media):
+        found["light tree"] = unscattered
     if not plan.eye_dome:
         found["eye dome"] = absences.eye_dome
     if not plan.defocus:

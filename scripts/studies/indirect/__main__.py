@@ -1,10 +1,10 @@
 """Scenes with indirect light: pictures by PointSplat and by Cycles, their difference, and a table of errors.
 
     python -m scripts.studies.indirect --data DIR --folder WORK [--only NAMES] [--size 320x180] [--truth 512]
-        [--settings NAME=VALUE ...]
+        [--bounces 3] [--settings NAME=VALUE ...]
 
-WORK keeps what was drawn: Cycles' pictures that are there are not drawn again. NAME.png are PointSplat's, Cycles', and
-four times their difference about grey. The table goes to stdout.
+WORK keeps what was drawn: Cycles' pictures that are there are not drawn again. Files with the ending .png are
+PointSplat's, Cycles', and four times their difference about grey. The table goes to stdout.
 """
 
 from __future__ import annotations
@@ -48,19 +48,22 @@ def main() -> None:
     parser.add_argument("--only", default=",".join(NAMES))
     parser.add_argument("--size", type=size, default=(320, 180), metavar="WxH")
     parser.add_argument("--truth", type=int, default=512, help="samples of Cycles, in two pictures")
+    parser.add_argument("--bounces", type=int, default=3)
     parser.add_argument("--settings", nargs="*", default=[])
     options = parser.parse_args()
     folder, (wide, high) = options.folder.resolve(), options.size
     folder.mkdir(parents=True, exist_ok=True)
-    settings = {"use_indirect": True} | {
+    settings = {"use_indirect": True, "bounces": options.bounces} | {
         name: ast.literal_eval(value) for name, value in (one.split("=", 1) for one in options.settings)
     }
     sys.stdout.write("| scene | mean | RMSE | without | mean over Cycles' | seconds |\n|---|---|---|---|---|---|\n")
     for name in options.only.split(","):
-        file = folder / f"{name}-{wide}x{high}.blend"
+        of_bounces = "" if options.bounces == 3 else f"-{options.bounces}"
+        file = folder / f"{name}-{wide}x{high}{of_bounces}.blend"
         if not file.exists():
             module, data = "scripts.studies.indirect.scenes", str(options.data.resolve())
             command = [sys.executable, "-m", module, name, str(file), "--data", data, "--size", f"{wide}x{high}"]
+            command += ["--bounces", str(options.bounces)]
             subprocess.run(command, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
         try:
             truth = [drawn(file, Program("CYCLES", options.truth // 2), seed, folder, {})[0][..., :3] for seed in SEEDS]
@@ -79,7 +82,9 @@ def main() -> None:
         sys.stdout.flush()
         shown = [displayed(np.dstack([exposure * x[..., :3], np.ones(x.shape[:2])])) for x in (own, mean)]
         sheet = [*shown, np.clip(0.5 + GAIN * (shown[0] - shown[1]), 0, 1)]
-        Image.fromarray((255 * np.concatenate(sheet, axis=1)[::-1] + 0.5).astype(np.uint8)).save(folder / f"{name}.png")
+        Image.fromarray((255 * np.concatenate(sheet, axis=1)[::-1] + 0.5).astype(np.uint8)).save(
+            folder / f"{file.stem}.png"
+        )
 
 
 if __name__ == "__main__":

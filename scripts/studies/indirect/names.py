@@ -1,3 +1,3 @@
 """The names of the scenes, known without Blender."""
 
-NAMES = ("room", "walls", "dragon", "truck", "fur", "scan", "foliage", "street", "letters")
+NAMES = ("room", "walls", "dragon", "truck", "fur", "scan", "foliage", "street", "letters", "cloud", "smoke", "alone")

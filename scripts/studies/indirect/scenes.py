@@ -1,8 +1,9 @@
 """Scenes with fixed cameras in which much light is indirect, in Blender.
 
-    python -m scripts.studies.indirect.scenes NAME FILE.blend --data DIR [--size 320x180]
+    python -m scripts.studies.indirect.scenes NAME FILE.blend --data DIR [--size 320x180] [--bounces 3]
 
-DIR holds real meshes and scans. Light bounces three times, in Cycles without clamps and caustics.
+DIR holds real meshes and scans; .vdb files of clouds are written next to FILE.blend. Light bounces `--bounces` times,
+in Cycles without clamps and caustics.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ import numpy as np
 from mathutils import Vector
 
 from scripts.common.process import run
-from scripts.common.volume_objects import surface
+from scripts.common.volume_objects import medium, surface, volume_object, write_vdb
+from scripts.demos.translucent import cumulus
 from scripts.render import size
 from scripts.studies import gallery
 
@@ -288,17 +290,66 @@ def letters(data: Path) -> None:
     aim((0.3, -4.2, 1.4), (0, 0.5, 0.8), 0.9)
 
 
+def heap(look: Any, across: float, place: Triple, seed: int = 7) -> Any:
+    """A cloud `across` wide, whose level base is at a place."""
+    density = cumulus(96, seed)
+    edge = across / len(density)
+    path = Path(bpy.data.filepath).parent / f"heap-{seed}-{across:g}.vdb"
+    write_vdb(path, {"density": density}, (-0.5 * across, -0.375 * across, 0.0), edge)
+    item = volume_object("Cloud", path, look)
+    item.location = place
+    return item
+
+
+def cloud(data: Path) -> None:
+    """A cloud over a landscape under a sky and a sun."""
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=160, y_subdivisions=160, size=60)
+    land = shown(matte("Land", (0.25, 0.3, 0.12)))
+    place = np.empty(3 * len(land.data.vertices), np.float32)
+    land.data.vertices.foreach_get("co", place)
+    x, y, _ = place.reshape(-1, 3).T
+    away = np.hypot(x, y)
+    hills = 0.5 * np.sin(0.55 * x + 1.0) * np.cos(0.4 * y) + 0.25 * np.sin(1.3 * x - 0.7 * y) + 0.03 * away
+    place.reshape(-1, 3)[:, 2] = hills + 0.02 * np.maximum(away - 10, 0) ** 2
+    land.data.vertices.foreach_set("co", place)
+    land.data.shade_smooth()
+    heap(medium("Cloud", 3.0, (0.99, 0.99, 0.99)), 9.0, (0.0, 3.0, 3.2))
+    lamp("SUN", 2.5, turn=(0.5, -0.35, 0.4), across=0.01)
+    sky((0.45, 0.6, 0.9), 1.0)
+    aim((0.5, -13.0, 2.6), (0, 2.0, 3.2), 0.95)
+
+
+def smoke(data: Path) -> None:
+    """A column of smoke beside a coloured wall."""
+    plane(matte("Floor", (0.5, 0.48, 0.45)), 20)
+    box(matte("Red", (0.7, 0.08, 0.05)), (-1.5, -1.2, 0.0), (-1.3, 1.6, 2.4))
+    bpy.ops.mesh.primitive_cylinder_add(radius=0.5, depth=2.2, location=(-0.45, 0.2, 1.11), vertices=64)
+    shown(medium("Smoke", 4.0, (0.8, 0.8, 0.8)))
+    lamp("SUN", 3.0, turn=(0.3, math.radians(50), -0.2), across=0.01)
+    sky((0.5, 0.6, 0.8), 0.6)
+    aim((0.7, -4.4, 1.6), (-0.45, 0.2, 1.0), 0.75)
+
+
+def alone(data: Path) -> None:
+    """A cloud alone in a sky, under a sun."""
+    heap(medium("Cloud", 4.0, (1.0, 1.0, 1.0)), 6.0, (0.0, 0.0, 0.0), 4)
+    lamp("SUN", 2.5, turn=(0.5, -0.35, 0.4), across=0.01)
+    sky((0.45, 0.6, 0.9), 1.0)
+    aim((0.5, -8.0, 0.4), (0, 0, 1.5), 0.75)
+
+
 SCENES: dict[str, Callable[[Path], None]] = {
-    scene.__name__: scene for scene in (room, walls, dragon, truck, fur, scan, foliage, street, letters)
+    scene.__name__: scene
+    for scene in (room, walls, dragon, truck, fur, scan, foliage, street, letters, cloud, smoke, alone)
 }
 BOUNCES = 3
 
 
-def cycles_like(scene: Any) -> None:
+def cycles_like(scene: Any, bounces: int) -> None:
     """What Cycles is to leave out as PointSplat does: caustics, clamps, and further bounces."""
     own = scene.cycles
-    own.max_bounces = own.diffuse_bounces = BOUNCES
-    own.glossy_bounces = 1
+    own.max_bounces = own.diffuse_bounces = own.volume_bounces = bounces
+    own.glossy_bounces = min(bounces, 1)
     own.transmission_bounces, own.transparent_max_bounces = 0, 32
     own.caustics_reflective = own.caustics_refractive = False
     own.blur_glossy, own.sample_clamp_direct, own.sample_clamp_indirect = 0.0, 0.0, 0.0
@@ -306,11 +357,12 @@ def cycles_like(scene: Any) -> None:
     own.use_adaptive_sampling = False
 
 
-def make(name: str, file: Path, data: Path, wide: int, high: int) -> None:
+def make(name: str, file: Path, data: Path, wide: int, high: int, bounces: int) -> None:
     """Writes a scene's .blend file."""
     scene = begin(wide, high)
+    bpy.ops.wm.save_as_mainfile(filepath=str(file.resolve()), compress=False)  # scenes ask where it is
     SCENES[name](data)
-    cycles_like(scene)
+    cycles_like(scene, bounces)
     bpy.ops.wm.save_as_mainfile(filepath=str(file.resolve()), compress=False)
 
 
@@ -320,8 +372,10 @@ def main() -> None:
     parser.add_argument("file", type=Path)
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--size", type=size, default=(320, 180), metavar="WxH")
+    parser.add_argument("--bounces", type=int, default=BOUNCES)
     options = parser.parse_args()
-    make(options.name, options.file, options.data.resolve(), *options.size)
+    wide, high = options.size
+    make(options.name, options.file, options.data.resolve(), wide, high, options.bounces)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
-// Light that media scatter once. For lights.glsl.
+// Light that media scatter: of lamps once, and what else falls on them. For lights.glsl. PS_GATHERED_MEDIUM: that is known, with
+// all bounces (render/indirect/media.py); else it is that of the world, which nothing hides.
 
 #define PS_DEEPEST_PIECE 1.5  // deeper pieces are taken as this one: their middles' light is known less well
 
@@ -59,6 +60,10 @@ vec3 ps_ambient()
 #endif
 }
 
+#ifdef PS_GATHERED_MEDIUM
+#include "lib/indirect/medium_light.glsl"
+#endif
+
 // Light that a medium of this albedo scatters once towards the eye, over its extinction; g is Henyey and Greenstein's.
 // across: optical depth of the piece of the medium that the light of its middle stands for. Light from the eye's side is
 // brightest where the eye sees most of the piece, and the mean of what is seen is more than the middle's: by exp((1 + 2 c) d^2 / 24)
@@ -68,7 +73,11 @@ vec3 ps_shade_medium(vec3 position, vec3 to_eye, float g, vec3 albedo, vec3 acro
 {
 #ifdef PS_SHOWS_VOLUME
   vec3 half_depth = 0.5 * min(across, vec3(PS_DEEPEST_PIECE)), steep = log(0.5 * (exp(half_depth) + exp(-half_depth))) / 3.0;
+#ifdef PS_GATHERED_MEDIUM
+  vec3 result = ps_medium_light(position);
+#else
   vec3 result = ps_ambient();
+#endif
 #ifdef PS_HAS_LIGHTS
   ivec4 ends = ps_light_ends();
   for (int i = 0; i < light_count; i++) {

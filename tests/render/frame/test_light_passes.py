@@ -21,8 +21,8 @@ from tests.support.leave_out.scenes import through_a_lens
 COMBINED = frozenset({"combined"})
 EVERY = COMBINED | OF_LIGHT
 SCENES = (
-    "mixed", "balls", "emission", "holdout", "environment", "in_a_corner", "among_balls_and_strands", "smoke",
-    "tinted_smoke", "panes_of_functions", "tinted_panes", "captured_among", "captured_lit", "captured_matte",
+    "mixed", "balls", "emission", "holdout", "environment", "in_a_corner", "among_balls_and_strands", "under_smoke",
+    "smoke", "tinted_smoke", "panes_of_functions", "tinted_panes", "captured_among", "captured_lit", "captured_matte",
     "captured_trained", "in_fog", "in_smoke", "foliage", "strands", "region", "parallel", "empty",
 )  # fmt: skip
 WORST = 2e-6  # of the brightest pixel; measured 1.22e-6, where colours are so faint that they count as none
@@ -209,6 +209,8 @@ def test_each_term_is_drawn_once_and_only_if_it_is_needed():
     assert len(drawn("diffuse_direct", "diffuse_indirect", "diffuse_color", bounces=True)) == 3
     assert drawn("volume_direct", "volume_indirect", "transmission_direct", "transmission_color") == []
     assert drawn("emission") == []
+    assert len(drawn("volume_direct", "volume_indirect", media=True)) == 1
+    assert len(drawn("volume_direct", "volume_indirect", media=True, bounces=True)) == 2
     assert len(drawn(*OF_LIGHT)) == 5
     every = drawn(*OF_LIGHT, bounces=True, transmits=True, media=True, emits=True)
-    assert len(every) == len(set(every)) == 12
+    assert len(every) == len(set(every)) == 13

@@ -18,12 +18,13 @@ from ...device.protocol import Device
 from ...indirect.bake import Baker
 from ...indirect.known_sites import Slices
 from ...indirect.light import BakedLight, IndirectLight, world_names
-from ...indirect.surfels import scene_density, scene_surfels
+from ...indirect.media import BakedMedia, scene_media
+from ...indirect.surfels import scene_density, scene_surfels, usable_instances
 from ...plan.plan import Plan
 from ..uploads.lighting import ArrayIdentity
 from ..uploads.uploads import Uploads
 
-FORM = form_of_records(BakedLight)
+FORM = form_of_records(BakedLight, BakedMedia)
 
 
 def kept_light(
@@ -58,8 +59,10 @@ def kept_light(
     of_baker = Key(Kind.LIGHT_BAKER, key.content, other=(*depends_on, id(device)))
 
     def make_baker() -> Baker | None:
-        surfels = scene_surfels(scene, density, origin, store, check if slices.endless else lambda: None)
-        return None if surfels is None else Baker(scene, surfels, lighting, bounces)
+        checked = check if slices.endless else lambda: None
+        surfels = scene_surfels(scene, density, origin, store, checked)
+        media = scene_media(scene, usable_instances(scene), origin, checked)
+        return Baker(scene, surfels, lighting, bounces, media) if len(surfels) or media is not None else None
 
     def bake() -> BakedLight:
         if not slices.endless and not store.made_later(of_baker, make_baker):

@@ -176,33 +176,34 @@ class LightingUploads:
             if scene.world.seen is not None and self._plan.world:
                 rows = light_texture((), scene.world.seen, camera.view_from_world)
                 self._seen_lights = self._scope.view_texture(rows)
-        records = self._records(camera.view_from_world)
+        records = self._records(camera.view_from_world, self._maps)
         self._table_records = records["shadow_lights"]
         self._map_records = records["map_lights"]
         self._pane_records = records["pane_lights"]
         self._face_records = records["pane_faces"]
 
-    def _records(self, view_from_world: np.ndarray) -> dict[str, Texture | None]:
+    def _records(self, view_from_world: np.ndarray, maps: ShadowMaps | None) -> dict[str, Texture | None]:
         """Uploads the records of shadows in the space of a view, (4, 4), until the view is released."""
         tables = None if self._tables is None else self._tables.packed
-        of = {"shadow_lights": tables, "map_lights": self._maps, "pane_lights": self._panes, "pane_faces": self._faces}
+        of = {"shadow_lights": tables, "map_lights": maps, "pane_lights": self._panes, "pane_faces": self._faces}
         upload = self._scope.view_texture
         return {name: None if one is None else upload(one.records(view_from_world)) for name, one in of.items()}
 
     def textures_in(self, view_from_world: np.ndarray) -> dict[str, Texture]:
         """Returns what shading reads, by sampler name, with shadows in the space of another view, (4, 4)."""
-        return self.textures | bound_textures(**self._records(view_from_world))
+        return self.textures | bound_textures(**self._records(view_from_world, self._maps))
 
     def textures_for_all_cameras(self, view_from_world: np.ndarray) -> dict[str, Texture]:
         """Returns what shading reads, by sampler name, in a space, (4, 4), that is no camera's, without shadow maps
         that are nested in others for one."""
-        scene, textures = self._scene, self.textures_in(view_from_world)
-        textures |= self.sky
+        scene, maps = self._scene, self._maps
+        of_scene = None if maps is None else maps.of_scene
+        records = self._records(view_from_world, maps if of_scene is None else of_scene)
+        textures = self.textures | bound_textures(**records) | self.sky
         rows = light_texture(scene.lights, scene.world, view_from_world, *self._surface)
         textures["ps_lights"] = self._scope.view_texture(rows)
-        if self._maps is not None and self._maps.of_scene is not None:
-            textures["ps_shadow_maps"] = self._drawn_maps(self._maps.of_scene)
-            textures["ps_map_lights"] = self._scope.view_texture(self._maps.of_scene.records(view_from_world))
+        if of_scene is not None:
+            textures["ps_shadow_maps"] = self._drawn_maps(of_scene)
         return textures
 
     def _hair_escape(self) -> np.ndarray:

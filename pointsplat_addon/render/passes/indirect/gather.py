@@ -6,27 +6,48 @@ import numpy as np
 
 from ....shading.interface import Interface
 from ...device.protocol import Device, Texture
-from ..uniforms import block
-from .pages import NODE_WIDTH, RECEIVER_WIDTH
+from ..uniforms import Fields, block
+from .pages import MEDIA_WIDTH, NODE_WIDTH, RECEIVER_WIDTH
 
 CELLS = 8
 BOUNCE_CELLS = 6  # where what is gathered lights other surfaces
+RAYS, BOUNCE_RAYS = 3, 2  # through media, along each side of a cell
 COARSENESS = 1.0  # cells that a node may cover
-GATHER_BLOCK = block("Gather", (("int", "root"), ("float", "coarseness"), ("float", "sky")))
+GATHER_FIELDS: Fields = (("int", "root"), ("float", "coarseness"), ("float", "sky"))
+GATHER_BLOCK = block("Gather", GATHER_FIELDS)
+MEDIA_FIELDS: Fields = (
+    ("vec4", "media_corner"),  # of the grid, in the tree's space, and the edge of a cell
+    ("ivec4", "media_cells"),  # along each axis
+)
+GATHER_MEDIA_BLOCK = block("GatherMedia", GATHER_FIELDS, MEDIA_FIELDS)
 
 
-def gather_program(world: tuple[str, ...], glossy: bool, bounces: bool = False) -> Interface:
+def gather_program(
+    world: tuple[str, ...],
+    glossy: bool,
+    bounces: bool = False,
+    media: bool = False,
+    every_side: bool = False,
+    colored: bool = False,
+) -> Interface:
     """Returns the program that gathers. `world`: the PS_ names of the sky. `glossy`: what smooth surfaces mirror.
-    `bounces`: light for surfaces that light others."""
+    `bounces`: light for surfaces that light others. `media`: there are some; its block is then GATHER_MEDIA_BLOCK.
+    `every_side`: for receivers within media, of each of two hemispheres. `colored`: extinction of media differs between
+    the channels."""
     lights = (("FLOAT_2D", "ps_lights"),) if world else ()
     picture = (("FLOAT_2D", "ps_environment"),) if "PS_HAS_ENVIRONMENT" in world else ()
     names = (*world, *(("PS_GLOSSY",) if glossy else ()), *(("PS_BOUNCES",) if bounces else ()))
-    cells = BOUNCE_CELLS if bounces else CELLS
+    names += (*(("PS_MEDIA",) if media else ()), *(("PS_EVERY_SIDE",) if every_side else ()))
+    names += ("PS_MEDIA_COLORED",) if media and colored else ()
+    cells, rays = (BOUNCE_CELLS, BOUNCE_RAYS) if bounces else (CELLS, RAYS)
+    of_media = (("PS_MEDIA_WIDTH", str(MEDIA_WIDTH)), ("PS_RAYS", str(rays))) if media else ()
     return Interface(
-        "gather", fragment="indirect/gather.frag", block=GATHER_BLOCK,
+        "gather", fragment="indirect/gather.frag", block=GATHER_MEDIA_BLOCK if media else GATHER_BLOCK,
         outputs=(("vec4", "out_diffuse"), *((("vec4", "out_glossy"),) if glossy else ())),
-        samplers=(*(("FLOAT_2D", name) for name in ("ps_nodes", "ps_receivers")), *lights, *picture),
-        defines=(("PS_NODE_WIDTH", str(NODE_WIDTH)), ("PS_CELLS", str(cells)), *((name, "1") for name in names)),
+        samplers=(*(("FLOAT_2D", name) for name in ("ps_nodes", "ps_receivers")), *lights, *picture,
+                  *((("FLOAT_2D", "ps_media"),) if media else ())),
+        defines=(("PS_NODE_WIDTH", str(NODE_WIDTH)), ("PS_CELLS", str(cells)),
+                 *of_media, *((name, "1") for name in names)),
     )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from ...device.packing import OCT_STEPS, octahedral
 from ...device.protocol import Device, Texture
 
 NODE_WIDTH = 1024  # nodes in a row of the texture, of four texels each
+MEDIA_WIDTH = 1024  # cells of media in a row, of one texel each
 RECEIVER_WIDTH = 1024  # receivers in a row, of three texels each
 EDGE_STEPS, EDGE_OCTAVE = 1024, 64  # of how far edges are turned, and of their lengths; of these in an octave
 LEVELS = 63  # steps of shares that are packed into six bits

@@ -18,6 +18,7 @@ from ....core.splat import painter
 from ....core.splat.kernel import SUPPORT
 from ....shading.interface import Block, Interface
 from ...device.packing import PAGE_WIDTH
+from ..indirect.pages import MEDIA_WIDTH
 from ..shading.lighting import (
     LIGHT_FIELDS,
     MOST_LIGHT_POINTS,
@@ -42,6 +43,12 @@ def draw_list_rows(texel: np.ndarray, instance: np.ndarray) -> np.ndarray:
     return rows
 
 
+GATHERED_FIELDS: Fields = (
+    ("mat4", "blocks_from_view"),
+    ("ivec4", "medium_blocks"),  # along each axis
+)
+
+
 def _sample_fields(lighting: tuple[str, ...]) -> Fields:
     return SAMPLE_FIELDS if "PS_SHADOW_SAMPLE" in lighting else ()
 
@@ -53,7 +60,8 @@ def _light_block(options: TranslucentOptions, lighting: tuple[str, ...]) -> Bloc
         ("float", "low_pass_scale"),  # of the low-pass of splats that are not particles
     )
     lens = LENS_FIELDS if options.defocus else ()
-    return block("Light", CAMERA_FIELDS, own, LIGHT_FIELDS, lens, _sample_fields(lighting))
+    gathered = GATHERED_FIELDS if options.gathered else ()
+    return block("Light", CAMERA_FIELDS, own, LIGHT_FIELDS, lens, gathered, _sample_fields(lighting))
 
 
 def _reach_block(lighting: tuple[str, ...]) -> Block:
@@ -75,7 +83,10 @@ def light_program(
     read += tuple(name for name, on in options.attributes if on)
     read += ("share",) if options.defocus and options.fuzzy else ()
     read += tuple(f"reach_{i}" for i in range(_reach_textures(reached, colored)))
-    named = {"PS_MEDIA": options.media, "PS_AMONG_OPAQUE": options.fronts}
+    read += ("medium_light_of",) if options.gathered else ()
+    width = (("PS_MEDIA_WIDTH", str(MEDIA_WIDTH)),) if options.gathered else ()
+    named = {"PS_MEDIA": options.media, "PS_GATHERED_MEDIUM": options.gathered}
+    named |= {"PS_AMONG_OPAQUE": options.fronts}
     named |= {"PS_KERNELS": options.kernels, "PS_HOLDOUT": options.holdout, "PS_CULL": options.cull}
     named |= {
         "PS_FUZZY_DISCONNECTED": options.disconnected,
@@ -88,7 +99,7 @@ def light_program(
         "light", fragment="translucent/light.frag", block=_light_block(options, lighting),
         samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
         outputs=tuple(("vec4", f"out_{name}") for name in lit_outputs(options)),
-        defines=(*lighting_defines(lighting), *known, *_fuzzy_defines(options, lighting),
+        defines=(*lighting_defines(lighting), *known, *width, *_fuzzy_defines(options, lighting),
                  *((name, "1") for name in (*materials, *(name for name, on in named.items() if on)))),
     )  # fmt: skip
 

@@ -57,11 +57,15 @@ class LitSplats:
         # At the rim of a wide picture, balls are ellipses twice as long.
         self._small = not options.captured and 4 * radius * SUPPORT**0.5 / 2 <= WIDEST_POINT
 
-    def light(self, view: SampleView, light_count: int, textures: Mapping[str, Texture]) -> None:
-        """Lights all splats, seen from the middle of the pixel."""
+    def light(self, view: SampleView, light_count: int, textures: Mapping[str, Texture], **gathered: object) -> None:
+        """Lights all splats, seen from the middle of the pixel. `gathered`: values of GATHERED_FIELDS."""
         assert self.program is not None
         record = view.record_of(
-            self.program.block, count=self.count, low_pass_scale=1 / self.samples**2, light_count=light_count
+            self.program.block,
+            count=self.count,
+            low_pass_scale=1 / self.samples**2,
+            light_count=light_count,
+            **gathered,
         )
         self.device.draw(self.program, self.target, uniforms=record, textures=dict(textures))
 

@@ -13,6 +13,7 @@ class TranslucentOptions:
     """What translucent splats have beyond geometry and optical depth."""
 
     media: bool = False  # some fill a volume
+    gathered: bool = False  # and what light falls on these is known: render/indirect/media.py
     color: bool = False
     surface: bool = False
     emission: bool = False
