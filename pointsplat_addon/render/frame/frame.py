@@ -30,8 +30,10 @@ from ..plan.frame_plan import make_frame_plan
 from ..plan.request import Request
 from .data import DataPasses
 from .defocus import OutOfFocus, in_focus
-from .indirect.kept import kept_light
+from .indirect.hits import HitShading
+from .indirect.kept import kept_light, kept_triangles
 from .indirect.light import GroupsInIndirectLight
+from .indirect.mirrors import Mirrors
 from .lens_samples import LensSamples
 from .panes.layers import Panes
 from .resources import FrameResources
@@ -204,7 +206,11 @@ class Frame:
         self.clock.run("light tree", make)
         if found[0] is None:
             return None
-        return GroupsInIndirectLight(device, found[0], uploads, plan.variant, self.slices)
+        light, mirrors = found[0], None
+        if plan.mirrors:
+            shading = HitShading(device, scene, plan, uploads, frame_plan.request.samples)
+            mirrors = Mirrors(lambda: kept_triangles(device, uploads, scene, light.origin), shading)
+        return GroupsInIndirectLight(device, light, uploads, plan.variant, self.slices, mirrors)
 
     # Parts
 

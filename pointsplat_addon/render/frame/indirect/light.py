@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from ....core.indirect.sites import Sites, hashed, quantised_directions, scrambled
+from ...device.packing import paged
 from ...device.protocol import Device, Target, Texture
 from ...indirect.known_sites import Slices
 from ...indirect.light import IndirectLight, coherent_rows
@@ -17,11 +19,13 @@ from ...passes.indirect.pages import RECEIVER_WIDTH, paged_texture, receiver_tex
 from ...passes.uniforms import SampleView
 from ..uploads.uploads import Uploads
 from .known import Known
+from .mirrors import Mirrors, is_traced
 from .receivers import Groups, Receivers, choose_receivers, sites_of, sole_groups
 
 SIDES = 4 * TILE, 2 * TILE, TILE  # of squares of pixels that have receivers, one after the other
 FEWEST_IN_TILE = 3  # groups of a surface in a square, from which on it has a receiver there beside that of the largest
 MIRRORS, ROUGHNESSES = 48, 64  # steps of mirrored views, each way of an octahedron, and of roughness
+NOT_KNOWN = (None, None)
 SHARPEST = 24.0  # of a glossy lobe that the cells of a hemisphere resolve
 
 
@@ -35,13 +39,16 @@ class GroupsInIndirectLight:
         uploads: Uploads,
         variant: Variant,
         slices: Slices,
+        mirrors: Mirrors | None = None,
     ) -> None:
-        """`variant`: of the G-buffer of groups. `slices`: in which they gather."""
+        """`variant`: of the G-buffer of groups. `slices`: in which they gather. `mirrors`: what sharp ones show."""
         self._device, self._light, self._variant = device, light, variant
         self._materials = uploads.lighting.materials["ps_materials"]
         self._sky = uploads.lighting.sky
         self._lists: _Lists | None = None
         self._slices = slices
+        self._mirrors = mirrors
+        self._mirrored: Texture | None = None  # what the last list shows, with sharp mirrors
 
     def gather(self, view: SampleView, surfaces: GBuffer, listed: Texture, entries: np.ndarray) -> dict[str, Texture]:
         """Returns what shading reads, by sampler name. Cancelled: gathering was put off.
@@ -49,15 +56,16 @@ class GroupsInIndirectLight:
         `surfaces`: attributes of the groups. `listed`: the list of groups, and `entries` (N, 2): pixel and layer of
         each of them.
         """
-        device = self._device
+        device, mirrors = self._device, self._mirrors
+        self._release_mirrored()
         if self._lists is None or self._lists.size != listed.size:
-            self.release()
-            self._lists = _Lists(device, listed.size)
+            self._release_lists()
+            self._lists = _Lists(device, listed.size, mirrors is not None)
         lists = self._lists
         device.clear(lists.place_target)
         turned = np.eye(4)
         turned[:3, :3] = view.world_from_view[:3, :3]
-        program = group_points_program(self._variant)
+        program = group_points_program(self._variant, mirrors is not None)
         textures = surfaces.bound() | {"ps_list": listed, "ps_materials": self._materials}
         names = {name for _, name in program.samplers}
         device.draw(
@@ -70,10 +78,48 @@ class GroupsInIndirectLight:
         place, up = (device.read(lists.textures[name]).reshape(-1, 4)[:count] for name in ("ps_places", "ps_ups"))
         eye = view.world_from_view[:3, 3] - self._light.origin
         groups = Groups(eye, place[:, :3] + eye, up[:, :3], place[:, 3], entries[:, 0].astype(np.int64))
+        if mirrors is None:
+            self._receive(view, lists, listed, groups, place, up)
+            return lists.received
+        # What sharp mirrors show is not gathered into cells.
+        gathering = up.copy()
+        gathering[is_traced(up[:, 3]) == 1, 3] = -1
+        self._receive(view, lists, listed, groups, place, gathering)
+        ray = device.read(lists.textures["rays"]).reshape(-1, 4)[:count]
+        shown = mirrors.shown(view, groups, up[:, 3], ray, self._lit)
+        if shown is None:
+            return lists.received
+        self._mirrored = lists.mirroring(device, *shown)
+        return lists.received | {"ps_mirrored_light": self._mirrored}
+
+    def _lit(
+        self, view: SampleView, groups: Groups, roughness: np.ndarray, draw: Callable[[dict[str, Texture]], None]
+    ) -> None:
+        """Calls `draw` with what groups that are seen by way of mirrors receive, as `gather` returns it.
+
+        Their depths are the lengths of their ways; roughness: (N,), < 0: nothing is mirrored.
+        """
+        count, device = len(groups.depth), self._device
+        place = np.column_stack([groups.position - groups.eye, groups.depth]).astype(np.float32)
+        up = np.column_stack([groups.normal, roughness]).astype(np.float32)
+        entries = np.stack([groups.pixel, np.zeros(count)], axis=1).astype(np.float32)
+        size, data = paged(entries, 2)
+        listed = device.texture(size, "RG32F", data)
+        lists = _Lists(device, size, False, (paged(place, 4)[1], paged(up, 4)[1]))
+        try:
+            self._receive(view, lists, listed, groups, place, up)
+            draw(lists.received)
+        finally:
+            listed.release()
+            lists.release()
+
+    def _receive(
+        self, view: SampleView, lists: _Lists, listed: Texture, groups: Groups, place: np.ndarray, up: np.ndarray
+    ) -> None:
+        """Gathers for groups at places with normals (N, 4), as `gather` has them."""
         chosen = choose_receivers(groups, view, TILE, FEWEST_IN_TILE, True)
         found = self._found(view, groups, place, up, chosen)
         self._interpolate(view, lists, listed, chosen, found, place, up)
-        return {"ps_gathered_light": lists.textures["gathered"], "ps_mirrored_light": lists.textures["mirrored"]}
 
     def _found(
         self, view: SampleView, groups: Groups, place: np.ndarray, up: np.ndarray, chosen: Receivers
@@ -157,10 +203,19 @@ class GroupsInIndirectLight:
         for item in (diffuse, glossy, receivers, where, tiles):
             item.release()
 
-    def release(self) -> None:
+    def _release_mirrored(self) -> None:
+        if self._mirrored is not None:
+            self._mirrored.release()
+        self._mirrored = None
+
+    def _release_lists(self) -> None:
+        self._release_mirrored()
         if self._lists is not None:
             self._lists.release()
         self._lists = None
+
+    def release(self) -> None:
+        self._release_lists()
 
 
 def lobe_sharpness(roughness: np.ndarray) -> np.ndarray:
@@ -173,14 +228,36 @@ def lobe_sharpness(roughness: np.ndarray) -> np.ndarray:
 class _Lists:
     """One texel a group."""
 
-    def __init__(self, device: Device, size: tuple[int, int]) -> None:
+    def __init__(
+        self,
+        device: Device,
+        size: tuple[int, int],
+        mirrors: bool,
+        known: tuple[np.ndarray, np.ndarray] = NOT_KNOWN,
+    ) -> None:
+        """`mirrors`: with where each mirrors the eye to. `known`: what is in the first two, flat; None: a pass writes
+        it."""
         self.size = size
-        self.textures = {
-            name: device.texture(size, "RGBA32F") for name in ("ps_places", "ps_ups", "gathered", "mirrored")
-        }
-        self.place_target: Target = device.target([self.textures[name] for name in ("ps_places", "ps_ups")])
-        self.light_target: Target = device.target([self.textures[name] for name in ("gathered", "mirrored")])
+        places, ups = (device.texture(size, "RGBA32F", data) for data in known)
+        gathered, mirrored = (device.texture(size, "RGBA32F") for _ in range(2))
+        self.textures = {"ps_places": places, "ps_ups": ups, "gathered": gathered, "mirrored": mirrored}
+        if mirrors:
+            self.textures["rays"] = device.texture(size, "RGBA32F")
+        rays = [self.textures["rays"]] if mirrors else []
+        self.place_target: Target = device.target([places, ups, *rays])
+        self.light_target: Target = device.target([gathered, mirrored])
         self._owned: list[Any] = [self.place_target, self.light_target, *self.textures.values()]
+
+    @property
+    def received(self) -> dict[str, Texture]:
+        """What shading reads, by sampler name."""
+        return {"ps_gathered_light": self.textures["gathered"], "ps_mirrored_light": self.textures["mirrored"]}
+
+    def mirroring(self, device: Device, rows: np.ndarray, light: np.ndarray, share: np.ndarray) -> Texture:
+        """Returns a texture of what is mirrored, in which `share` (n,) of that of groups `rows` is `light` (n, 4)."""
+        whole = device.read(self.textures["mirrored"]).reshape(-1, 4).copy()
+        whole[rows] += share[:, None] * (light - whole[rows])
+        return device.texture(self.size, "RGBA32F", whole.reshape(-1))
 
     def release(self) -> None:
         for item in self._owned:
