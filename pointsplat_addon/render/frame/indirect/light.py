@@ -16,10 +16,11 @@ from ...passes.gbuffer import GBuffer, Variant
 from ...passes.indirect.group_points import GROUP_POINTS_BLOCK, group_points_program
 from ...passes.indirect.interpolate import INTERPOLATE, INTERPOLATE_BLOCK, TILE
 from ...passes.indirect.pages import RECEIVER_WIDTH, paged_texture, receiver_texture
+from ...passes.indirect.reflect import REFLECT, REFLECT_BLOCK
 from ...passes.uniforms import SampleView
 from ..uploads.uploads import Uploads
 from .known import Known
-from .mirrors import Mirrors, is_traced
+from .mirrors import Mirrors, Shown, is_traced
 from .receivers import Groups, Receivers, choose_receivers, sites_of, sole_groups
 
 SIDES = 4 * TILE, 2 * TILE, TILE  # of squares of pixels that have receivers, one after the other
@@ -89,7 +90,7 @@ class GroupsInIndirectLight:
         shown = mirrors.shown(view, groups, up[:, 3], ray, self._lit)
         if shown is None:
             return lists.received
-        self._mirrored = lists.mirroring(device, *shown)
+        self._mirrored = self._reflected(view, lists, listed, groups, shown)
         return lists.received | {"ps_mirrored_light": self._mirrored}
 
     def _lit(
@@ -112,6 +113,30 @@ class GroupsInIndirectLight:
         finally:
             listed.release()
             lists.release()
+
+    def _reflected(self, view: SampleView, lists: _Lists, listed: Texture, groups: Groups, shown: Shown) -> Texture:
+        """Returns what all groups mirror, of which `shown` tells what rays have met."""
+        device, texels = self._device, lists.size[0] * lists.size[1]
+        made: dict[str, Texture] = {}
+        for name, format, values in (
+            ("ps_shown", "RGBA32F", shown.light), ("ps_ends", "RGBA32F", shown.ends), ("ps_kinds", "RG32F", shown.kinds),
+        ):  # fmt: skip
+            laid = np.zeros((texels, values.shape[1]), np.float32)
+            laid[shown.rows] = values
+            made[name] = device.texture(lists.size, format, laid.reshape(-1))
+        width, height = view.size
+        of_pixels = np.full(width * height, -1, np.float32)
+        of_pixels[groups.pixel[shown.rows]] = shown.rows
+        made["ps_of_pixels"] = device.texture((width, height), "R32F", of_pixels)
+        held = {"ps_places": "ps_places", "ps_rays": "rays", "ps_in_cells": "mirrored"}
+        textures = {"ps_list": listed} | made | {name: lists.textures[own] for name, own in held.items()}
+        out = device.texture(lists.size, "RGBA32F")
+        target = device.target([out])
+        to_eye = (*view.world_from_view[:3, 2], 0.0)
+        device.draw(REFLECT, target, uniforms=view.record(REFLECT_BLOCK, to_eye=to_eye), textures=textures)
+        for item in (target, *made.values()):
+            item.release()
+        return out
 
     def _receive(
         self, view: SampleView, lists: _Lists, listed: Texture, groups: Groups, place: np.ndarray, up: np.ndarray
@@ -252,12 +277,6 @@ class _Lists:
     def received(self) -> dict[str, Texture]:
         """What shading reads, by sampler name."""
         return {"ps_gathered_light": self.textures["gathered"], "ps_mirrored_light": self.textures["mirrored"]}
-
-    def mirroring(self, device: Device, rows: np.ndarray, light: np.ndarray, share: np.ndarray) -> Texture:
-        """Returns a texture of what is mirrored, in which `share` (n,) of that of groups `rows` is `light` (n, 4)."""
-        whole = device.read(self.textures["mirrored"]).reshape(-1, 4).copy()
-        whole[rows] += share[:, None] * (light - whole[rows])
-        return device.texture(self.size, "RGBA32F", whole.reshape(-1))
 
     def release(self) -> None:
         for item in self._owned:

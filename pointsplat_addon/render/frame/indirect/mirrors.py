@@ -1,11 +1,19 @@
-"""What sharp mirrors show: a ray for each group of sub-samples, and the light that leaves what it meets."""
+"""What sharp mirrors show: a ray for each group of sub-samples, and the light that leaves what it meets.
+
+Rays of groups next to each other take different parts of a lobe, and each group shows what all around it have met. Where a
+pixel shows more than its lobe, four rays show the parts of the pixel instead.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
+from ....core.indirect.lobes import half_vectors, parts_of_lobes
+from ....core.numeric.record import record
+from ....core.numeric.vectors import unit_rows
 from ...indirect.light import coherent_rows
 from ...indirect.traced import BLURRED, SHARP, Hits, SceneTriangles
 from ...passes.indirect.trace import TracedTriangles
@@ -15,6 +23,10 @@ from .receivers import Groups
 
 LIFT = 1e-4  # of the distance from the eye: rays begin so far above what mirrors
 ALIKE = 0.8  # cosine between normals of pixels that may show one surface
+SHARPEST = 2e-3  # alpha, below which lobes are no wider than pixels
+CONTRAST = 0.05  # of light and 0.3 together, between what pixels show, from which on more rays are traced
+MORE = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]])  # pixels
+PARTS = 4  # of a lobe that two rays of neighbouring groups are apart, about, over its width
 
 
 class TracedScene:
@@ -29,6 +41,33 @@ class TracedScene:
             self.tree.release()
 
 
+@record
+class Reflecting:
+    """Groups that mirror."""
+
+    position: np.ndarray  # (N, 3) float64, from the eye
+    to_eye: np.ndarray  # (N, 3), unit
+    normal: np.ndarray  # (N, 3), unit: of what mirrors
+    bends: np.ndarray  # (N, 2, 3): change of the normal from a pixel to the next, along x and y
+    above: np.ndarray  # (N,): how far above its place rays begin
+    alpha: np.ndarray  # (N,)
+    depth: np.ndarray  # (N,)
+    pixel: np.ndarray  # (N,) int64
+
+    def take(self, rows: np.ndarray) -> Reflecting:
+        return replace(self, **{name: getattr(self, name)[rows] for name in self.__dataclass_fields__})
+
+
+@record
+class Shown:
+    """What n groups show by rays."""
+
+    rows: np.ndarray  # (n,) int64: groups
+    light: np.ndarray  # (n, 4) float32: radiance of surfaces; 1 where there are none
+    ends: np.ndarray  # (n, 4) float32: see shaders/indirect/reflect.frag
+    kinds: np.ndarray  # (n, 2) float32: likewise
+
+
 class Mirrors:
     """Shows sharp mirrors what is around them."""
 
@@ -36,11 +75,8 @@ class Mirrors:
         """`traced`: makes the tree when first something is mirrored, or returns it."""
         self._traced, self._shading = traced, shading
 
-    def shown(
-        self, view: SampleView, groups: Groups, roughness: np.ndarray, ray: np.ndarray, lit: Lit
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Returns which groups show what rays meet, (n,) int64; what they mirror, (n, 4) float32: radiance of surfaces
-        and 1 where there are none; and the share of this in what they show. None: no group does.
+    def shown(self, view: SampleView, groups: Groups, roughness: np.ndarray, ray: np.ndarray, lit: Lit) -> Shown | None:
+        """Returns what groups show by rays; None: none does.
 
         roughness (N,): < 0: nothing is mirrored. ray: (N, 4), mirrored views in the world, and how far what groups
         stand for bulges above their planes.
@@ -52,25 +88,72 @@ class Mirrors:
         traced = self._traced()
         if traced.triangles is None or traced.tree is None:
             return None
+        position = groups.position[rows] - groups.eye
+        to_eye = _to_eye(view, position)
+        normal = unit_rows(to_eye + ray[rows, :3])
+        depth = groups.depth[rows].astype(np.float64)
+        alpha = np.maximum(roughness[rows].astype(np.float64), 0) ** 2
+        of = Reflecting(
+            position, to_eye, normal, bends(view, groups)[rows], ray[rows, 3] + LIFT * depth, alpha, depth,
+            groups.pixel[rows],
+        )  # fmt: skip
+        width = view.size[0]
+        column, row = of.pixel % width, of.pixel // width
+        parts = parts_of_lobes(column, row)
+        narrow = alpha < np.maximum(np.linalg.norm(of.bends, axis=2).max(axis=1), SHARPEST)
+        light, ends = self._traced_light(view, traced, groups.eye, of, np.zeros((len(rows), 2)), parts, lit)
+        jagged = np.flatnonzero(narrow & _contrasts(view, of.pixel, light))
+        if len(jagged):
+            some = np.tile(jagged, len(MORE))
+            off = np.repeat(MORE, len(jagged), axis=0)
+            within = (parts[some] + np.repeat(parts_of_lobes(np.array([0, 1, 0, 1]), np.array([0, 0, 1, 1])),
+                                              len(jagged), axis=0)) % 1.0  # fmt: skip
+            more, _ = self._traced_light(view, traced, groups.eye, of.take(some), off, within, lit)
+            light[jagged] = more.reshape(len(MORE), -1, 4).mean(axis=0)
+        kinds = np.column_stack([share[rows], np.where(narrow, 0, alpha)]).astype(np.float32)
+        return Shown(rows, light, ends, kinds)
+
+    def _traced_light(
+        self,
+        view: SampleView,
+        traced: TracedScene,
+        eye: np.ndarray,
+        of: Reflecting,
+        offset: np.ndarray,
+        parts: np.ndarray,
+        lit: Lit,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Traces a ray of each group, `offset` (N, 2) pixels beside it, in a part of its lobe: `light` and `ends` of
+        Shown."""
+        assert traced.tree is not None
+        assert traced.triangles is not None
         pixel = 1 / view.camera.pixel_from_view()[0]
-        depth, direction = groups.depth[rows].astype(np.float64), ray[rows, :3]
-        above = ray[rows, 3] + LIFT * depth
-        origin = groups.position[rows] + above[:, None] * groups.normal[rows]
+        place, to_eye, mirror = _moved(view, of, offset)
+        half = np.where(of.alpha[:, None] > 0, half_vectors(mirror, to_eye, of.alpha, parts), mirror)
+        direction = 2 * (half * to_eye).sum(axis=1, keepdims=True) * half - to_eye
+        below = (direction * mirror).sum(axis=1) <= 0
+        half[below] = mirror[below]
+        direction[below] = (2 * (mirror * to_eye).sum(axis=1, keepdims=True) * mirror - to_eye)[below]
+        place = place + of.above[:, None] * mirror
+        origin = place + eye
         triangle, distance, weights = traced.tree.trace(origin, direction, coherent_rows(origin, direction))
-        light = np.zeros((len(rows), 4), np.float32)
-        light[triangle < 0, 3] = 1
-        met = np.flatnonzero(triangle >= 0)
-        if len(met):
-            away = distance[met].astype(np.float64)
-            across = pixel * (depth[met] if view.camera.perspective else 1.0)
-            turns = 2 * turning(view, groups)[rows[met]] + (pixel if view.camera.perspective else 0.0)
-            width = across + turns * away
+        light = np.zeros((len(origin), 4), np.float32)
+        met = triangle >= 0
+        light[~met, 3] = 1
+        end = np.where(met[:, None], place + np.where(met, distance, 0)[:, None] * direction, direction)
+        if met.any():
+            some, away = of.take(np.flatnonzero(met)), distance[met].astype(np.float64)
+            perspective = view.camera.perspective
+            across = pixel * (some.depth if perspective else 1.0)
+            turns = 2 * np.linalg.norm(some.bends, axis=2).max(axis=1) + (pixel if perspective else 0.0)
+            width = across + (turns + 4 * some.alpha / PARTS) * away
             hits = Hits(triangle[met], weights[met], direction[met], width)
-            place = origin[met] + away[:, None] * direction[met] - groups.eye
-            seen = Groups(groups.eye, place, groups.normal[rows[met]], (width / pixel).astype(np.float32),
-                          groups.pixel[rows[met]])  # fmt: skip
-            light[met, :3] = self._shading.shade(view, traced.triangles, hits, place, seen, lit)
-        return rows, light, share[rows]
+            seen = Groups(eye, origin[met], some.normal, (width / pixel).astype(np.float32), some.pixel)
+            light[met, :3] = self._shading.shade(view, traced.triangles, hits, end[met], seen, lit)
+        cosine = (half * mirror).sum(axis=1)
+        density = of.alpha**2 / np.maximum((cosine**2 * (of.alpha**2 - 1) + 1) ** 2, 1e-20)
+        density = np.where(of.alpha > 0, density, 1)
+        return light, np.column_stack([end, np.where(met, density, -density)]).astype(np.float32)
 
 
 def is_traced(roughness: np.ndarray) -> np.ndarray:
@@ -79,21 +162,63 @@ def is_traced(roughness: np.ndarray) -> np.ndarray:
     return np.where(roughness < 0, 0, share).astype(np.float32)
 
 
-def turning(view: SampleView, groups: Groups) -> np.ndarray:
-    """(N,) radians: by how much normals of groups turn from a pixel to the next; of those whose neighbours show other
-    surfaces 0."""
+def _to_eye(view: SampleView, position: np.ndarray) -> np.ndarray:
+    """(N, 3) unit, of places from the eye (N, 3)."""
+    if view.camera.perspective:
+        return -unit_rows(position)
+    return np.broadcast_to(view.world_from_view[:3, 2], position.shape)
+
+
+def _moved(view: SampleView, of: Reflecting, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places from the eye, directions to it, and normals, (N, 3) each, `offset` (N, 2) pixels beside groups."""
+    if not offset.any():
+        return of.position, of.to_eye, of.normal
+    step = np.column_stack([offset / np.array(view.camera.pixel_from_view()[:2]), np.zeros(len(offset))])
+    step = step @ view.world_from_view[:3, :3].T
+    perspective = view.camera.perspective
+    ahead = of.position + step * (of.depth[:, None] if perspective else 1.0)
+    along = ahead if perspective else -of.to_eye
+    slope = (along * of.normal).sum(axis=1)
+    off = ((of.position - ahead) * of.normal).sum(axis=1)
+    with np.errstate(all="ignore"):
+        farther = np.where(np.abs(slope) > 1e-3 * np.linalg.norm(along, axis=1), off / slope, 0)
+    place = ahead + farther[:, None] * along
+    normal = unit_rows(of.normal + np.einsum("na,nac->nc", offset, of.bends))
+    return place, _to_eye(view, place), normal
+
+
+def bends(view: SampleView, groups: Groups) -> np.ndarray:
+    """(N, 2, 3) float32: by how much normals of groups change from a pixel to the next, along x and y; of those whose
+    neighbours show other surfaces 0."""
     width, height = view.size
     normals = np.zeros((height + 2, width + 2, 3), np.float32)
     there = np.flatnonzero(groups.depth != 0)
     row, column = np.divmod(groups.pixel[there], width)
-    normals[row + 1, column + 1] = groups.normal[there]
-    found = np.zeros(len(groups.depth), np.float32)
-    for axis in ((0, 1), (1, 0)):
+    own = groups.normal[there]
+    normals[row + 1, column + 1] = own
+    found = np.zeros((len(groups.depth), 2, 3), np.float32)
+    for axis, (across, up) in enumerate(((1, 0), (0, 1))):
         least = np.full(len(there), np.inf, np.float32)
+        change = np.zeros_like(own)
         for sign in (-1, 1):
-            other = normals[row + 1 + sign * axis[0], column + 1 + sign * axis[1]]
-            alike = (other * groups.normal[there]).sum(axis=1) > ALIKE
-            turn = np.linalg.norm(other - groups.normal[there], axis=1)
-            least = np.where(alike, np.minimum(least, turn), least)
-        found[there] = np.maximum(found[there], np.where(np.isfinite(least), least, 0))
+            other = normals[row + 1 + sign * up, column + 1 + sign * across]
+            size = np.linalg.norm(other - own, axis=1)
+            nearer = ((other * own).sum(axis=1) > ALIKE) & (size < least)
+            change[nearer] = sign * (other - own)[nearer]
+            least[nearer] = size[nearer]
+        found[there, axis] = change
+    return found
+
+
+def _contrasts(view: SampleView, pixel: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """(N,) bool: groups of pixels that show other light (N, 4) than those beside them."""
+    width, height = view.size
+    shown = np.full((height + 2, width + 2, 4), np.nan, np.float32)
+    row, column = np.divmod(pixel, width)
+    shown[row + 1, column + 1] = light
+    found = np.zeros(len(pixel), bool)
+    for y, x in ((0, -1), (0, 1), (-1, 0), (1, 0)):
+        other = shown[row + 1 + y, column + 1 + x]
+        with np.errstate(invalid="ignore"):
+            found |= (np.abs(other - light) > CONTRAST * (0.3 + np.maximum(other, light))).any(axis=1)
     return found
