@@ -20,7 +20,8 @@ void main()
 {
   ivec2 texel = ivec2(gl_FragCoord.xy);
   vec4 place = texelFetch(ps_places, texel, 0), cells = texelFetch(ps_in_cells, texel, 0);
-  vec2 kind = texelFetch(ps_kinds, texel, 0).xy;  // the share of rays in what is shown; alpha, 0: only its own count
+  // The share of rays in what is shown; alpha, 0: only its own count; of how many rays of each group it looks at.
+  vec3 kind = texelFetch(ps_kinds, texel, 0).xyz;
   if (place.w == 0.0) {
     discard;
   }
@@ -31,21 +32,25 @@ void main()
   vec4 sum = vec4(0.0);
   float total = 0.0;
   ivec2 pixel = ps_listed(texel).pixel, last = textureSize(ps_of_pixels, 0) - 1;
+  int rows = textureSize(ps_places, 0).y, rays = int(kind.z);
   int reach = kind.x > 0.0 && kind.y > 0.0 ? PS_HALF : -1;
   for (int y = -reach; y <= reach; y++) {
     for (int x = -reach; x <= reach; x++) {
       ivec2 at = pixel + ivec2(x, y);
       bool there = all(greaterThanEqual(at, ivec2(0))) && all(lessThanEqual(at, last));
       int entry = there ? int(texelFetch(ps_of_pixels, at, 0).x) : -1;
+      float within = (abs(x) == PS_HALF ? 0.5 : 1.0) * (abs(y) == PS_HALF ? 0.5 : 1.0);
       ivec2 other = ps_list_texel(max(entry, 0));
-      vec4 end = texelFetch(ps_ends, other, 0);  // place from the eye, or direction where nothing is there; density, < 0 there
-      vec3 toward = normalize(end.w < 0.0 ? end.xyz : end.xyz - place.xyz);
-      float cosine = dot(normalize(toward + to_eye), normal);
-      float weight = dot(toward, normal) > 0.0 ? min(ps_ggx(alpha2, cosine) / max(abs(end.w), 1e-20), PS_MOST) : 0.0;
-      weight *= (abs(x) == PS_HALF ? 0.5 : 1.0) * (abs(y) == PS_HALF ? 0.5 : 1.0);
-      weight = entry < 0 || end.w == 0.0 ? 0.0 : weight;
-      sum += weight * texelFetch(ps_shown, other, 0);
-      total += weight;
+      for (int i = entry < 0 ? rays : 0; i < rays; i++) {
+        ivec2 of_ray = ivec2(other.x, other.y + i * rows);
+        vec4 end = texelFetch(ps_ends, of_ray, 0);  // place from the eye, or direction where nothing is there; density, < 0 there
+        vec3 toward = normalize(end.w < 0.0 ? end.xyz : end.xyz - place.xyz);
+        float cosine = dot(normalize(toward + to_eye), normal);
+        float weight = min(ps_ggx(alpha2, cosine) / max(abs(end.w), 1e-20), PS_MOST);
+        weight = end.w != 0.0 && dot(toward, normal) > 0.0 ? weight * within : 0.0;
+        sum += weight * texelFetch(ps_shown, of_ray, 0);
+        total += weight;
+      }
     }
   }
   out_mirrored = mix(cells, total > 0.0 ? sum / total : own, clamp(kind.x, 0.0, 1.0));

@@ -118,12 +118,11 @@ class GroupsInIndirectLight:
         """Returns what all groups mirror, of which `shown` tells what rays have met."""
         device, texels = self._device, lists.size[0] * lists.size[1]
         made: dict[str, Texture] = {}
-        for name, format, values in (
-            ("ps_shown", "RGBA32F", shown.light), ("ps_ends", "RGBA32F", shown.ends), ("ps_kinds", "RG32F", shown.kinds),
-        ):  # fmt: skip
-            laid = np.zeros((texels, values.shape[1]), np.float32)
-            laid[shown.rows] = values
-            made[name] = device.texture(lists.size, format, laid.reshape(-1))
+        columns, height = lists.size
+        for name, values in (("ps_shown", shown.light), ("ps_ends", shown.ends), ("ps_kinds", shown.kinds[None])):
+            laid = np.zeros((len(values), texels, 4), np.float32)
+            laid[:, shown.rows] = values
+            made[name] = device.texture((columns, height * len(values)), "RGBA32F", laid.reshape(-1))
         width, height = view.size
         of_pixels = np.full(width * height, -1, np.float32)
         of_pixels[groups.pixel[shown.rows]] = shown.rows

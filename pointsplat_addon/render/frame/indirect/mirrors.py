@@ -23,9 +23,11 @@ from .receivers import Groups
 
 LIFT = 1e-4  # of the distance from the eye: rays begin so far above what mirrors
 ALIKE = 0.8  # cosine between normals of pixels that may show one surface
-SHARPEST = 2e-3  # alpha, below which lobes are no wider than pixels
+FEW = 4.0  # alpha over the turn of a half vector from a pixel to the next, below which few neighbours lie in a lobe
 CONTRAST = 0.05  # of light and 0.3 together, between what pixels show, from which on more rays are traced
 MORE = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]])  # pixels
+# By which further rays take other parts of a lobe (Roberts 2018).
+TURN_OF_PARTS = np.array([0.7548776662466927, 0.5698402909980532])
 PARTS = 4  # of a lobe that two rays of neighbouring groups are apart, about, over its width
 
 
@@ -63,9 +65,9 @@ class Shown:
     """What n groups show by rays."""
 
     rows: np.ndarray  # (n,) int64: groups
-    light: np.ndarray  # (n, 4) float32: radiance of surfaces; 1 where there are none
-    ends: np.ndarray  # (n, 4) float32: see shaders/indirect/reflect.frag
-    kinds: np.ndarray  # (n, 2) float32: likewise
+    light: np.ndarray  # (K, n, 4) float32, of each ray: radiance of surfaces; 1 where there are none
+    ends: np.ndarray  # (K, n, 4) float32: see shaders/indirect/reflect.frag; zeros: a group has no further rays
+    kinds: np.ndarray  # (n, 4) float32: likewise
 
 
 class Mirrors:
@@ -97,21 +99,29 @@ class Mirrors:
             position, to_eye, normal, bends(view, groups)[rows], ray[rows, 3] + LIFT * depth, alpha, depth,
             groups.pixel[rows],
         )  # fmt: skip
-        width = view.size[0]
-        column, row = of.pixel % width, of.pixel // width
+        row, column = np.divmod(of.pixel, view.size[0])
         parts = parts_of_lobes(column, row)
-        narrow = alpha < np.maximum(np.linalg.norm(of.bends, axis=2).max(axis=1), SHARPEST)
         light, ends = self._traced_light(view, traced, groups.eye, of, np.zeros((len(rows), 2)), parts, lit)
-        jagged = np.flatnonzero(narrow & _contrasts(view, of.pixel, light))
+        turn = _turn(view, of, ends)
+        narrow, few = alpha < turn, alpha < FEW * turn
+        lights, all_ends = [light], [ends]
+        jagged = np.flatnonzero(few & _contrasts(view, of.pixel, light))
         if len(jagged):
-            some = np.tile(jagged, len(MORE))
-            off = np.repeat(MORE, len(jagged), axis=0)
-            within = (parts[some] + np.repeat(parts_of_lobes(np.array([0, 1, 0, 1]), np.array([0, 0, 1, 1])),
-                                              len(jagged), axis=0)) % 1.0  # fmt: skip
-            more, _ = self._traced_light(view, traced, groups.eye, of.take(some), off, within, lit)
-            light[jagged] = more.reshape(len(MORE), -1, 4).mean(axis=0)
-        kinds = np.column_stack([share[rows], np.where(narrow, 0, alpha)]).astype(np.float32)
-        return Shown(rows, light, ends, kinds)
+            count, again = len(jagged), np.tile(jagged, len(MORE))
+            shifts = np.repeat(np.arange(1, len(MORE) + 1)[:, None] * TURN_OF_PARTS, count, axis=0)
+            more = self._traced_light(
+                view, traced, groups.eye, of.take(again), np.repeat(MORE, count, axis=0),
+                (parts[again] + shifts) % 1.0, lit,
+            )  # fmt: skip
+            found, found_ends = (one.reshape(len(MORE), count, 4) for one in more)
+            light[jagged[narrow[jagged]]] = found.mean(axis=0)[narrow[jagged]]
+            for own, own_ends in zip(found, found_ends, strict=True):
+                lights.append(np.zeros_like(light))
+                all_ends.append(np.zeros_like(ends))
+                lights[-1][jagged], all_ends[-1][jagged] = own, own_ends
+        sheets = np.where(few, len(lights), 1)
+        kinds = np.column_stack([share[rows], np.where(narrow, 0, alpha), sheets, sheets]).astype(np.float32)
+        return Shown(rows, np.stack(lights), np.stack(all_ends), kinds)
 
     def _traced_light(
         self,
@@ -160,6 +170,17 @@ def is_traced(roughness: np.ndarray) -> np.ndarray:
     """(N,) float32: the share of what surfaces mirror that rays show; 0 where roughness < 0: nothing is mirrored."""
     share = np.clip((BLURRED - roughness) / (BLURRED - SHARP), 0, 1)
     return np.where(roughness < 0, 0, share).astype(np.float32)
+
+
+def _turn(view: SampleView, of: Reflecting, ends: np.ndarray) -> np.ndarray:
+    """(N,) radians: by how much half vectors turn from a pixel to the next towards what rays have met, `ends` (N, 4) of
+    Shown."""
+    turn = np.linalg.norm(of.bends, axis=2).max(axis=1)
+    if not view.camera.perspective:
+        return turn
+    away = np.linalg.norm(ends[:, :3] - of.position, axis=1)
+    near = np.where(ends[:, 3] < 0, 0, of.depth / np.maximum(away, 1e-3 * of.depth))
+    return turn + 0.5 * (1 + near) / view.camera.pixel_from_view()[0]
 
 
 def _to_eye(view: SampleView, position: np.ndarray) -> np.ndarray:
