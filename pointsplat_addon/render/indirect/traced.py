@@ -189,6 +189,12 @@ def sharp_mirrors(table: MaterialTable) -> np.ndarray:
     return reflecting(table) & ((table.roughness < BLURRED) | _varies(table, "roughness"))
 
 
+def is_traced(roughness: np.ndarray) -> np.ndarray:
+    """(N,) float32: the share of what surfaces mirror that rays show; 0 where roughness < 0: nothing is mirrored."""
+    share = np.clip((BLURRED - roughness) / (BLURRED - SHARP), 0, 1)
+    return np.where(roughness < 0, 0, share).astype(np.float32)
+
+
 def _varies(table: MaterialTable, channel: str) -> np.ndarray:
     """(M,) bool: materials whose graphs vary a channel."""
     found = [isinstance(graph, MaterialGraph) and channel in graph.channels for graph in table.graphs]

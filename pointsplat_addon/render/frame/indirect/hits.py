@@ -9,7 +9,7 @@ import numpy as np
 from ....core.scene.scene import Scene
 from ...device.packing import octahedral, paged
 from ...device.protocol import CHANNELS, Device, Texture
-from ...indirect.traced import Hits, SceneTriangles, reflecting, surfaces_at
+from ...indirect.traced import Hits, SceneTriangles, is_traced, reflecting, surfaces_at
 from ...passes.gbuffer import Variant
 from ...passes.shading.shade import shade_program, shade_values
 from ...passes.uniforms import SampleView
@@ -18,8 +18,13 @@ from ..uploads.uploads import Uploads
 from .receivers import Groups
 
 POLYGON = -1e30  # shaders/lib/geometry/surfel_kind.glsl
-# Draws, given what indirect light the groups receive, by sampler name.
-Lit = Callable[[SampleView, Groups, np.ndarray, Callable[[dict[str, Texture]], None]], None]
+# Draws what groups show, of which it is given what indirect light they receive, by sampler name. Of groups, with the lengths
+# of their ways as depths: their roughness (N,), < 0: nothing is mirrored; directions (N, 3) to where they are seen from.
+Lit = Callable[[SampleView, Groups, np.ndarray, np.ndarray, Callable[[dict[str, Texture]], None]], None]
+# Which groups (n,) mirror something sharply; (n, 4) what: radiance, and 1 where nothing is; and its share (n,) in what they
+# mirror.
+Mirrored = tuple[np.ndarray, np.ndarray, np.ndarray]
+Mirror = Callable[[Groups, np.ndarray, np.ndarray, np.ndarray], Mirrored | None]  # also their planes
 
 
 class HitShading:
@@ -49,8 +54,9 @@ class HitShading:
         position: np.ndarray,
         seen: Groups,
         lit: Lit,
+        mirrored: Mirror | None,
     ) -> np.ndarray:
-        """Returns the radiance, (N, 3) float32, that hits send back along their rays.
+        """Returns the radiance, (N, 3) float32, that hits send back along their rays. `mirrored`: what they mirror.
 
         position: (N, 3), from the eye along the world's axes. `seen`: the mirrors' depths and pixels; see `lit`.
         """
@@ -86,6 +92,9 @@ class HitShading:
                 device.clear(target)
                 try:
                     wanted = {name for _, name in self._program.samplers}
+                    if mirrored is not None:
+                        shown = mirrored(groups, smooth, found.plane, -hits.direction)
+                        received = received if shown is None else received | mixed(received, shown)
                     textures = {**self._lighting(view), **made, **received}
                     textures = {name: texture for name, texture in textures.items() if name in wanted}
                     record = view.record_of(self._program.block, **shade_values(self._scene))
@@ -95,7 +104,16 @@ class HitShading:
                     target.release()
                     out.release()
 
-            lit(view, groups, smooth, draw)
+            def mixed(received: dict[str, Texture], shown: Mirrored) -> dict[str, Texture]:
+                rows, light, share = shown
+                whole = device.read(received["ps_mirrored_light"])
+                texels = whole.reshape(-1, 4).copy()
+                texels[rows] += share[:, None] * (light - texels[rows])
+                made["again"] = device.texture(made["ps_centre"].size, "RGBA32F", texels.reshape(-1))
+                return {"ps_mirrored_light": made["again"]}
+
+            gathering = smooth if mirrored is None else np.where(is_traced(smooth) == 1, -1, smooth)
+            lit(view, groups, gathering, -hits.direction, draw)
         finally:
             for texture in made.values():
                 texture.release()

@@ -12,6 +12,7 @@ from ...device.packing import paged
 from ...device.protocol import Device, Target, Texture
 from ...indirect.known_sites import Slices
 from ...indirect.light import IndirectLight, coherent_rows
+from ...indirect.traced import is_traced
 from ...passes.gbuffer import GBuffer, Variant
 from ...passes.indirect.group_points import GROUP_POINTS_BLOCK, group_points_program
 from ...passes.indirect.interpolate import INTERPOLATE, INTERPOLATE_BLOCK, TILE
@@ -20,7 +21,7 @@ from ...passes.indirect.reflect import REFLECT, REFLECT_BLOCK
 from ...passes.uniforms import SampleView
 from ..uploads.uploads import Uploads
 from .known import Known
-from .mirrors import Mirrors, Shown, is_traced
+from .mirrors import Mirrors, Shown
 from .receivers import Groups, Receivers, choose_receivers, sites_of, sole_groups
 
 SIDES = 4 * TILE, 2 * TILE, TILE  # of squares of pixels that have receivers, one after the other
@@ -78,14 +79,15 @@ class GroupsInIndirectLight:
         count = len(entries)
         place, up = (device.read(lists.textures[name]).reshape(-1, 4)[:count] for name in ("ps_places", "ps_ups"))
         eye = view.world_from_view[:3, 3] - self._light.origin
+        to_eye = directions_to_eye(view, place[:, :3])
         groups = Groups(eye, place[:, :3] + eye, up[:, :3], place[:, 3], entries[:, 0].astype(np.int64))
         if mirrors is None:
-            self._receive(view, lists, listed, groups, place, up)
+            self._receive(view, lists, listed, groups, place, up, to_eye)
             return lists.received
         # What sharp mirrors show is not gathered into cells.
         gathering = up.copy()
         gathering[is_traced(up[:, 3]) == 1, 3] = -1
-        self._receive(view, lists, listed, groups, place, gathering)
+        self._receive(view, lists, listed, groups, place, gathering, to_eye)
         ray = device.read(lists.textures["rays"]).reshape(-1, 4)[:count]
         shown = mirrors.shown(view, groups, up[:, 3], ray, self._lit)
         if shown is None:
@@ -94,12 +96,14 @@ class GroupsInIndirectLight:
         return lists.received | {"ps_mirrored_light": self._mirrored}
 
     def _lit(
-        self, view: SampleView, groups: Groups, roughness: np.ndarray, draw: Callable[[dict[str, Texture]], None]
+        self,
+        view: SampleView,
+        groups: Groups,
+        roughness: np.ndarray,
+        to_eye: np.ndarray,
+        draw: Callable[[dict[str, Texture]], None],
     ) -> None:
-        """Calls `draw` with what groups that are seen by way of mirrors receive, as `gather` returns it.
-
-        Their depths are the lengths of their ways; roughness: (N,), < 0: nothing is mirrored.
-        """
+        """Calls `draw` with what groups that are seen by way of mirrors receive, as `gather` returns it; see Lit."""
         count, device = len(groups.depth), self._device
         place = np.column_stack([groups.position - groups.eye, groups.depth]).astype(np.float32)
         up = np.column_stack([groups.normal, roughness]).astype(np.float32)
@@ -108,7 +112,7 @@ class GroupsInIndirectLight:
         listed = device.texture(size, "RG32F", data)
         lists = _Lists(device, size, False, (paged(place, 4)[1], paged(up, 4)[1]))
         try:
-            self._receive(view, lists, listed, groups, place, up)
+            self._receive(view, lists, listed, groups, place, up, to_eye)
             draw(lists.received)
         finally:
             listed.release()
@@ -138,20 +142,24 @@ class GroupsInIndirectLight:
         return out
 
     def _receive(
-        self, view: SampleView, lists: _Lists, listed: Texture, groups: Groups, place: np.ndarray, up: np.ndarray
+        self,
+        view: SampleView,
+        lists: _Lists,
+        listed: Texture,
+        groups: Groups,
+        place: np.ndarray,
+        up: np.ndarray,
+        to_eye: np.ndarray,
     ) -> None:
-        """Gathers for groups at places with normals (N, 4), as `gather` has them."""
+        """Gathers for groups at places with normals (N, 4), as `gather` has them, seen from directions (N, 3)."""
         chosen = choose_receivers(groups, view, TILE, FEWEST_IN_TILE, True)
-        found = self._found(view, groups, place, up, chosen)
+        found = self._found(view, groups, to_eye, up, chosen)
         self._interpolate(view, lists, listed, chosen, found, place, up)
 
     def _found(
-        self, view: SampleView, groups: Groups, place: np.ndarray, up: np.ndarray, chosen: Receivers
+        self, view: SampleView, groups: Groups, to_eye: np.ndarray, up: np.ndarray, chosen: Receivers
     ) -> np.ndarray:
         """(R, 8): what receivers have gathered, or interpolated from others that are farther apart and see alike."""
-        to_eye = -place[:, :3] / np.maximum(np.linalg.norm(place[:, :3], axis=1, keepdims=True), 1e-30)
-        if not view.camera.perspective:
-            to_eye = np.broadcast_to(view.world_from_view[:3, 2].astype(np.float32), to_eye.shape)
         sole = sole_groups(groups, view)
         known = Known(groups.position.astype(np.float32), groups.normal)
         for side in SIDES:
@@ -240,6 +248,13 @@ class GroupsInIndirectLight:
 
     def release(self) -> None:
         self._release_lists()
+
+
+def directions_to_eye(view: SampleView, place: np.ndarray) -> np.ndarray:
+    """(N, 3) float32, unit, of places from the eye (N, 3)."""
+    if not view.camera.perspective:
+        return np.broadcast_to(view.world_from_view[:3, 2].astype(np.float32), place.shape)
+    return -place / np.maximum(np.linalg.norm(place, axis=1, keepdims=True), 1e-30)
 
 
 def lobe_sharpness(roughness: np.ndarray) -> np.ndarray:

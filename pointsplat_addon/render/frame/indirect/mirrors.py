@@ -15,14 +15,16 @@ from ....core.indirect.lobes import half_vectors, parts_of_lobes
 from ....core.numeric.record import record
 from ....core.numeric.vectors import unit_rows
 from ...indirect.light import coherent_rows
-from ...indirect.traced import BLURRED, SHARP, Hits, SceneTriangles
+from ...indirect.traced import Hits, SceneTriangles, is_traced
 from ...passes.indirect.trace import TracedTriangles
 from ...passes.uniforms import SampleView
-from .hits import HitShading, Lit
+from .hits import HitShading, Lit, Mirrored
 from .receivers import Groups
 
 LIFT = 1e-4  # of the distance from the eye: rays begin so far above what mirrors
 ALIKE = 0.8  # cosine between normals of pixels that may show one surface
+AGAIN = 2  # times that what rays meet mirrors something sharply, too; further times it shows it as cells do
+LEAST_RISE = 0.01  # sine of the angle at which what mirrors other mirrors reflects at least above its plane
 FEW = 4.0  # alpha over the turn of a half vector from a pixel to the next, below which few neighbours lie in a lobe
 CONTRAST = 0.05  # of light and 0.3 together, between what pixels show, from which on more rays are traced
 MORE = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]])  # pixels
@@ -101,7 +103,7 @@ class Mirrors:
         )  # fmt: skip
         row, column = np.divmod(of.pixel, view.size[0])
         parts = parts_of_lobes(column, row)
-        light, ends = self._traced_light(view, traced, groups.eye, of, np.zeros((len(rows), 2)), parts, lit)
+        light, ends = self._traced_light(view, traced, groups.eye, of, np.zeros((len(rows), 2)), parts, lit, AGAIN)
         turn = _turn(view, of, ends)
         narrow, few = alpha < turn, alpha < FEW * turn
         lights, all_ends = [light], [ends]
@@ -111,7 +113,7 @@ class Mirrors:
             shifts = np.repeat(np.arange(1, len(MORE) + 1)[:, None] * TURN_OF_PARTS, count, axis=0)
             more = self._traced_light(
                 view, traced, groups.eye, of.take(again), np.repeat(MORE, count, axis=0),
-                (parts[again] + shifts) % 1.0, lit,
+                (parts[again] + shifts) % 1.0, lit, AGAIN,
             )  # fmt: skip
             found, found_ends = (one.reshape(len(MORE), count, 4) for one in more)
             light[jagged[narrow[jagged]]] = found.mean(axis=0)[narrow[jagged]]
@@ -132,9 +134,10 @@ class Mirrors:
         offset: np.ndarray,
         parts: np.ndarray,
         lit: Lit,
+        again: int,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Traces a ray of each group, `offset` (N, 2) pixels beside it, in a part of its lobe: `light` and `ends` of
-        Shown."""
+        Shown. `again`: how often what they meet mirrors something sharply, too."""
         assert traced.tree is not None
         assert traced.triangles is not None
         pixel = 1 / view.camera.pixel_from_view()[0]
@@ -159,17 +162,47 @@ class Mirrors:
             width = across + (turns + 4 * some.alpha / PARTS) * away
             hits = Hits(triangle[met], weights[met], direction[met], width)
             seen = Groups(eye, origin[met], some.normal, (width / pixel).astype(np.float32), some.pixel)
-            light[met, :3] = self._shading.shade(view, traced.triangles, hits, end[met], seen, lit)
+
+            def mirrored(met: Groups, roughness: np.ndarray, plane: np.ndarray, to_eye: np.ndarray) -> Mirrored | None:
+                return self._mirrored(view, traced, met, roughness, plane, to_eye, lit, again)
+
+            deeper = mirrored if again else None
+            light[met, :3] = self._shading.shade(view, traced.triangles, hits, end[met], seen, lit, deeper)
         cosine = (half * mirror).sum(axis=1)
         density = of.alpha**2 / np.maximum((cosine**2 * (of.alpha**2 - 1) + 1) ** 2, 1e-20)
         density = np.where(of.alpha > 0, density, 1)
         return light, np.column_stack([end, np.where(met, density, -density)]).astype(np.float32)
 
-
-def is_traced(roughness: np.ndarray) -> np.ndarray:
-    """(N,) float32: the share of what surfaces mirror that rays show; 0 where roughness < 0: nothing is mirrored."""
-    share = np.clip((BLURRED - roughness) / (BLURRED - SHARP), 0, 1)
-    return np.where(roughness < 0, 0, share).astype(np.float32)
+    def _mirrored(
+        self,
+        view: SampleView,
+        traced: TracedScene,
+        groups: Groups,
+        roughness: np.ndarray,
+        plane: np.ndarray,
+        to_eye: np.ndarray,
+        lit: Lit,
+        again: int,
+    ) -> Mirrored | None:
+        """Returns what groups mirror that are seen by way of mirrors. plane, to_eye: (N, 3), unit."""
+        share = is_traced(roughness)
+        rows = np.flatnonzero(share > 0)
+        if not len(rows):
+            return None
+        to_eye, plane, normal = (one[rows].astype(np.float64) for one in (to_eye, plane, groups.normal))
+        direction = 2 * (normal * to_eye).sum(axis=1, keepdims=True) * normal - to_eye
+        direction += np.maximum(LEAST_RISE - (direction * plane).sum(axis=1), 0)[:, None] * plane
+        depth = groups.depth[rows].astype(np.float64)
+        of = Reflecting(
+            groups.position[rows] - groups.eye, to_eye, unit_rows(unit_rows(direction) + to_eye),
+            np.zeros((len(rows), 2, 3)), LIFT * depth, np.maximum(roughness[rows].astype(np.float64), 0) ** 2, depth,
+            groups.pixel[rows],
+        )  # fmt: skip
+        row, column = np.divmod(of.pixel, view.size[0])
+        parts = (parts_of_lobes(column, row)[:, ::-1] + again * TURN_OF_PARTS) % 1.0
+        off = np.zeros((len(rows), 2))
+        light, _ = self._traced_light(view, traced, groups.eye, of, off, parts, lit, again - 1)
+        return rows, light, share[rows]
 
 
 def _turn(view: SampleView, of: Reflecting, ends: np.ndarray) -> np.ndarray:
