@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -25,11 +26,14 @@ LIFT = 1e-4  # of the distance from the eye: rays begin so far above what mirror
 ALIKE = 0.8  # cosine between normals of pixels that may show one surface
 AGAIN = 2  # times that what rays meet mirrors something sharply, too; further times it shows it as cells do
 LEAST_RISE = 0.01  # sine of the angle at which what mirrors other mirrors reflects at least above its plane
+import os
 FEW = 4.0  # alpha over the turn of a half vector from a pixel to the next, below which few neighbours lie in a lobe
 CONTRAST = 0.05  # of light and 0.3 together, between what pixels show, from which on more rays are traced
 MORE = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]])  # pixels
 # By which further rays take other parts of a lobe (Roberts 2018).
 TURN_OF_PARTS = np.array([0.7548776662466927, 0.5698402909980532])
+if os.environ.get("EIGHT"):
+    MORE = (np.stack([np.arange(8), [3, 6, 0, 5, 1, 7, 2, 4]], axis=1) + 0.5) / 8 - 0.5
 PARTS = 4  # of a lobe that two rays of neighbouring groups are apart, about, over its width
 
 
@@ -121,6 +125,9 @@ class Mirrors:
                 lights.append(np.zeros_like(light))
                 all_ends.append(np.zeros_like(ends))
                 lights[-1][jagged], all_ends[-1][jagged] = own, own_ends
+            # Groups count alike, however many rays they have.
+            for own_ends in all_ends:
+                own_ends[jagged, 3] *= len(all_ends)
         sheets = np.where(few, len(lights), 1)
         kinds = np.column_stack([share[rows], np.where(narrow, 0, alpha), sheets, sheets]).astype(np.float32)
         return Shown(rows, np.stack(lights), np.stack(all_ends), kinds)
@@ -271,7 +278,7 @@ def _contrasts(view: SampleView, pixel: np.ndarray, light: np.ndarray) -> np.nda
     row, column = np.divmod(pixel, width)
     shown[row + 1, column + 1] = light
     found = np.zeros(len(pixel), bool)
-    for y, x in ((0, -1), (0, 1), (-1, 0), (1, 0)):
+    for y, x in product((-1, 0, 1), repeat=2):
         other = shown[row + 1 + y, column + 1 + x]
         with np.errstate(invalid="ignore"):
             found |= (np.abs(other - light) > CONTRAST * (0.3 + np.maximum(other, light))).any(axis=1)
