@@ -13,7 +13,7 @@ from ...core.numeric.vectors import each_block, unit_rows
 from ...core.scene.materials import MaterialTable
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Scene
-from ...core.surface.appearance import corner_normals, graphs_of, passing
+from ...core.surface.appearance import CLIP, at_places, corner_normals, graphs_of, passing
 from ...core.surface.footprints import footprints, over_footprints
 from ...core.surface.samples import Samples, interpolate, material_ids
 
@@ -107,6 +107,39 @@ def surfaces_at(scene: Scene, triangles: SceneTriangles, hits: Hits) -> HitSurfa
 
         each_block(len(here), look, BLOCK)
     return made
+
+
+def cut_out(scene: Scene, triangles: SceneTriangles, row: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Returns which places alpha cuts out, (N,) bool, in rows (N,) of triangles, with weights (N, 2) of their corners 1
+    and 2."""
+    found = np.zeros(len(row), bool)
+    if not _varies(scene.materials, "alpha").any():
+        return found
+    instance = triangles.instance[row]
+    geometry = scene.instances.geometry[instance]
+    for number in np.unique(geometry).tolist():
+        mesh = scene.geometries[number].mesh
+        assert mesh is not None
+        graphs = {
+            key: MaterialGraph(alpha=graph.alpha)
+            for key, graph in graphs_of(mesh, scene.materials).items()
+            if graph.alpha
+        }
+        here = np.flatnonzero(geometry == number)
+        if not graphs or not len(here):
+            continue
+        seen, triangle = np.unique(triangles.triangle[row[here]], return_inverse=True)
+        mesh = mesh.take(seen)
+        samples = Samples(
+            "PATCHES", triangle.reshape(-1).astype(np.int32), weights[here], np.zeros((len(here), 2, 2), np.float32)
+        )
+        if mesh.objects and scene.instances.objects:
+            mesh = replace(mesh, objects=scene.instances.objects)
+            samples = replace(samples, object=instance[here])
+        alpha = at_places(mesh, samples, graphs, scene.materials, np.ones(len(here), np.float32)).alpha
+        if alpha is not None:
+            found[here] = alpha < CLIP
+    return found
 
 
 def _look(

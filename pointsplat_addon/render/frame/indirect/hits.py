@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from ....core.scene.scene import Scene
 from ...device.packing import octahedral, paged
 from ...device.protocol import CHANNELS, Device, Texture
-from ...indirect.traced import Hits, SceneTriangles, is_traced, reflecting, surfaces_at
+from ...indirect.traced import Hits, SceneTriangles, cut_out, is_traced, reflecting, surfaces_at
 from ...passes.gbuffer import Variant
 from ...passes.shading.shade import shade_program, shade_values
 from ...passes.uniforms import SampleView
@@ -17,6 +18,7 @@ from ...plan.plan import Plan
 from ..uploads.uploads import Uploads
 from .receivers import Groups
 
+COARSER = np.float32(2.0)  # in mirrors, indirect light is found in cells so many times as wide
 POLYGON = -1e30  # shaders/lib/geometry/surfel_kind.glsl
 # Draws what groups show, of which it is given what indirect light they receive, by sampler name. Of groups, with the lengths
 # of their ways as depths: their roughness (N,), < 0: nothing is mirrored; directions (N, 3) to where they are seen from.
@@ -45,6 +47,10 @@ class HitShading:
         self._reflects = reflecting(scene.materials)
         self._textures: dict[str, Texture] = {}
         self._textures_of: object = None  # the camera that they are for
+
+    def cut_out(self, triangles: SceneTriangles, row: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """(N,) bool: places that alpha cuts out, in rows (N,) of triangles, with the weights (N, 2) of their corners."""
+        return cut_out(self._scene, triangles, row, weights)
 
     def shade(
         self,
@@ -113,7 +119,7 @@ class HitShading:
                 return {"ps_mirrored_light": made["again"]}
 
             gathering = smooth if mirrored is None else np.where(is_traced(smooth) == 1, -1, smooth)
-            lit(view, groups, gathering, -hits.direction, draw)
+            lit(view, replace(groups, depth=COARSER * seen.depth), gathering, -hits.direction, draw)
         finally:
             for texture in made.values():
                 texture.release()

@@ -24,16 +24,16 @@ from .receivers import Groups
 
 LIFT = 1e-4  # of the distance from the eye: rays begin so far above what mirrors
 ALIKE = 0.8  # cosine between normals of pixels that may show one surface
+MOST_CUT = 16  # surfaces that a ray passes where alpha cuts them out
+PAST = 1e-4  # of the length of a ray, by which it goes on beyond these
 AGAIN = 2  # times that what rays meet mirrors something sharply, too; further times it shows it as cells do
 LEAST_RISE = 0.01  # sine of the angle at which what mirrors other mirrors reflects at least above its plane
-import os
 FEW = 4.0  # alpha over the turn of a half vector from a pixel to the next, below which few neighbours lie in a lobe
 CONTRAST = 0.05  # of light and 0.3 together, between what pixels show, from which on more rays are traced
-MORE = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]])  # pixels
+# Pixels beside a group at which further rays are traced: no two in one row or column.
+MORE = (np.stack([np.arange(8), [3, 6, 0, 5, 1, 7, 2, 4]], axis=1) + 0.5) / 8 - 0.5
 # By which further rays take other parts of a lobe (Roberts 2018).
 TURN_OF_PARTS = np.array([0.7548776662466927, 0.5698402909980532])
-if os.environ.get("EIGHT"):
-    MORE = (np.stack([np.arange(8), [3, 6, 0, 5, 1, 7, 2, 4]], axis=1) + 0.5) / 8 - 0.5
 PARTS = 4  # of a lobe that two rays of neighbouring groups are apart, about, over its width
 
 
@@ -132,6 +132,26 @@ class Mirrors:
         kinds = np.column_stack([share[rows], np.where(narrow, 0, alpha), sheets, sheets]).astype(np.float32)
         return Shown(rows, np.stack(lights), np.stack(all_ends), kinds)
 
+    def _first_met(
+        self, traced: TracedScene, origin: np.ndarray, direction: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """As TracedTriangles.trace, past what alpha cuts out."""
+        assert traced.tree is not None
+        assert traced.triangles is not None
+        triangle, distance, weights = traced.tree.trace(origin, direction, coherent_rows(origin, direction))
+        rows = np.flatnonzero(triangle >= 0)
+        for _ in range(MOST_CUT):
+            rows = rows[self._shading.cut_out(traced.triangles, triangle[rows], weights[rows])]
+            if not len(rows):
+                break
+            begun = distance[rows] * (1 + PAST)
+            place = origin[rows] + begun[:, None] * direction[rows]
+            found = traced.tree.trace(place, direction[rows], coherent_rows(place, direction[rows]))
+            triangle[rows], weights[rows] = found[0], found[2]
+            distance[rows] = begun + found[1]
+            rows = rows[triangle[rows] >= 0]
+        return triangle, distance, weights
+
     def _traced_light(
         self,
         view: SampleView,
@@ -156,7 +176,7 @@ class Mirrors:
         direction[below] = (2 * (mirror * to_eye).sum(axis=1, keepdims=True) * mirror - to_eye)[below]
         place = place + of.above[:, None] * mirror
         origin = place + eye
-        triangle, distance, weights = traced.tree.trace(origin, direction, coherent_rows(origin, direction))
+        triangle, distance, weights = self._first_met(traced, origin, direction)
         light = np.zeros((len(origin), 4), np.float32)
         met = triangle >= 0
         light[~met, 3] = 1
