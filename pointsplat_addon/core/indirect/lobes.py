@@ -1,4 +1,4 @@
-"""Directions in which rough mirrors reflect: GGX lobes, of which pixels that lie next to each other take different parts."""
+"""Directions in which rough mirrors reflect: GGX lobes, of which neighbouring pixels take different parts."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ SIDE = 8  # pixels: squares of so many take all parts of a lobe
 def parts_of_lobes(column: np.ndarray, row: np.ndarray) -> np.ndarray:
     """(N, 2) float64 in [0, 1): which part of its lobe the pixel in each column and row (N,) takes.
 
-    Numbered in Morton order, pixels take points of a (0, 2)-sequence (Sobol 1967), so that aligned squares of 2, 4 and 8
-    pixels have one in each of 4, 16 and 64 parts of equal area.
+    Numbered in Morton order, pixels take points of a (0, 2)-sequence (Sobol 1967), so that aligned squares of 2, 4
+    and 8 pixels have one in each of 4, 16 and 64 parts of equal area.
     """
     number = np.zeros(len(column), np.uint32)
     for bit in range(SIDE.bit_length() - 1):

@@ -20,6 +20,7 @@ from ...core.surface.samples import Samples, interpolate, material_ids
 # Roughness up to which mirrors show what rays meet alone, and from which on what cells show alone.
 SHARP, BLURRED = 0.2, 0.3
 MOST_TRIANGLES = 1 << 21  # of all instances, of about 150 bytes each
+MOST_SPREAD = 0.25
 BLOCK = 1 << 14  # hits: the scratch of one block stays in the cache
 GRAZING = 0.1  # cosine: footprints of surfaces that are met at a lower angle are as long as at this one
 
@@ -40,6 +41,10 @@ class Hits:
     weights: np.ndarray  # (N, 2) float32, of corners 1 and 2
     direction: np.ndarray  # (N, 3) unit, of the rays, world
     width: np.ndarray  # (N,) world units that a ray stands for there, across it
+    # The same, and radians between directions, of the whole lobe that it belongs to: lights of which it finds a highlight
+    # are as wide as to be found by all others, too
+    lobe_width: np.ndarray
+    lobe_turn: np.ndarray
 
 
 @record
@@ -52,6 +57,7 @@ class HitSurfaces:
     color: np.ndarray  # (N, 3) float32
     surface: np.ndarray  # (N, 2) float32: roughness, metallic
     emission: np.ndarray  # (N, 3) float32
+    spread: np.ndarray  # (N,) float32: variance of the slopes of half vectors within what rays stand for
 
 
 def scene_triangles(scene: Scene, origin: np.ndarray) -> tuple[SceneTriangles, np.ndarray] | None:
@@ -93,6 +99,7 @@ def surfaces_at(scene: Scene, triangles: SceneTriangles, hits: Hits) -> HitSurfa
     made = HitSurfaces(
         np.zeros((count, 3), f), np.zeros((count, 3), f), np.zeros(count, np.int64),
         np.zeros((count, 3), f), np.zeros((count, 2), f), np.zeros((count, 3), f),
+        np.zeros(count, f),
     )  # fmt: skip
     instance = triangles.instance[hits.row]
     geometry = scene.instances.geometry[instance]
@@ -160,8 +167,13 @@ def _look(
     first, second, third = mesh.position[mesh.triangles[triangle]].astype(np.float64).transpose(1, 0, 2)
     plane = _turned(np.cross(second - first, third - first), back)
     plane = np.where((plane * direction).sum(axis=1, keepdims=True) > 0, -plane, plane)
-    some = mesh.take(triangle)
-    normal = np.einsum("nk,nkc->nc", _three(weights), corner_normals(some).reshape(-1, 3, 3))
+    normals = corner_normals(mesh.take(triangle)).reshape(-1, 3, 3)
+    normal = np.einsum("nk,nkc->nc", _three(weights), normals)
+    scale = np.cbrt(np.abs(np.linalg.det(linear))).astype(np.float32)
+    # Both change evenly over what a ray stands for, half vectors by half as much as directions.
+    bent = hits.lobe_width[rows] * _curvature(first, second, third, normals) / np.maximum(scale, 1e-30)
+    across = np.square(bent) + np.square(0.5 * hits.lobe_turn[rows])
+    made.spread[rows] = np.minimum(across / 6, MOST_SPREAD)
     made.plane[rows] = plane
     material = material_ids(mesh, plain)
     made.material[rows] = material
@@ -183,7 +195,6 @@ def _look(
         samples = replace(samples, backfacing=backfacing)
         if mesh.objects and scene.instances.objects:
             mesh, samples = replace(mesh, objects=scene.instances.objects), replace(samples, object=instance)
-        scale = np.cbrt(np.abs(np.linalg.det(linear))).astype(np.float32)
         found, _ = over_footprints(mesh, samples, graphs, table, scale)
         for name in ("color", "surface", "emission"):
             values = getattr(found, name)
@@ -193,6 +204,17 @@ def _look(
     normal = _turned(normal, back)
     normal[~normal.any(axis=1)] = plane[~normal.any(axis=1)]
     made.normal[rows] = np.where((normal * plane).sum(axis=1, keepdims=True) < 0, -normal, normal)
+
+
+def _curvature(first: np.ndarray, second: np.ndarray, third: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """(N,) radians that normals (N, 3, 3) of corners (N, 3) turn on a unit of object space, along the side where it is
+    most."""
+    corners, found = (first, second, third), np.zeros(len(first))
+    for i in range(3):
+        side = np.linalg.norm(corners[i] - corners[i - 1], axis=1)
+        turn = np.linalg.norm(normals[:, i] - normals[:, i - 1], axis=1)
+        found = np.maximum(found, np.divide(turn, side, out=np.zeros_like(found), where=side > 0))
+    return found
 
 
 def _three(weights: np.ndarray) -> np.ndarray:

@@ -134,6 +134,7 @@ EXPECTED = {
     "visibility buffer, polygons, eye-dome lighting": "polygons background eye+dome " + GROUPED,
     "indirect light in a corner": "shadow+maps light+tree gather polygons background " + GROUPED,
     "indirect light among balls and strands": "light+tree gather cover polygons lines background " + GROUPED,
+    "indirect light among mirrors": "shadow+maps light+tree gather polygons background " + GROUPED,
     "EWA": EWA + SEEN,
     "EWA, adaptive": "adapt " + EWA + SEEN,
     "EWA among polygons": "polygons " + EWA + SEEN,

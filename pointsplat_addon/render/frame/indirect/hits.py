@@ -20,11 +20,11 @@ from .receivers import Groups
 
 COARSER = np.float32(2.0)  # in mirrors, indirect light is found in cells so many times as wide
 POLYGON = -1e30  # shaders/lib/geometry/surfel_kind.glsl
-# Draws what groups show, of which it is given what indirect light they receive, by sampler name. Of groups, with the lengths
-# of their ways as depths: their roughness (N,), < 0: nothing is mirrored; directions (N, 3) to where they are seen from.
+# Draws what groups show, given what indirect light they receive, by sampler name. Of groups, with the lengths of their
+# ways as depths: roughness (N,), < 0: nothing is mirrored; directions (N, 3) to where they are seen from.
 Lit = Callable[[SampleView, Groups, np.ndarray, np.ndarray, Callable[[dict[str, Texture]], None]], None]
-# Which groups (n,) mirror something sharply; (n, 4) what: radiance, and 1 where nothing is; and its share (n,) in what they
-# mirror.
+# Which groups (n,) mirror something sharply; (n, 4) what: radiance, and 1 where nothing is; and its share (n,) in what
+# they mirror.
 Mirrored = tuple[np.ndarray, np.ndarray, np.ndarray]
 Mirror = Callable[[Groups, np.ndarray, np.ndarray, np.ndarray], Mirrored | None]  # also their planes
 
@@ -35,7 +35,7 @@ class HitShading:
     def __init__(self, device: Device, scene: Scene, plan: Plan, uploads: Uploads, samples: int) -> None:
         """`samples`: of a picture."""
         self._device, self._scene, self._uploads = device, scene, uploads
-        self._variant = Variant(color=True, surface=True, emission=True, wide=True, front=False)
+        self._variant = Variant(color=True, surface=True, emission=True, wide=True, spread=True, front=False)
         # Nothing depends on where in the picture it lies; of light, all terms are seen.
         lighting = tuple(name for name in plan.lighting if name not in ("PS_SHADOW_NESTED", "PS_FOG"))
         terms = set() if plan.term is None else set(plan.term.defines)
@@ -49,7 +49,7 @@ class HitShading:
         self._textures_of: object = None  # the camera that they are for
 
     def cut_out(self, triangles: SceneTriangles, row: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """(N,) bool: places that alpha cuts out, in rows (N,) of triangles, with the weights (N, 2) of their corners."""
+        """(N,) bool: places that alpha cuts out, in rows (N,) of triangles, with weights (N, 2) of corners 1 and 2."""
         return cut_out(self._scene, triangles, row, weights)
 
     def shade(
@@ -77,7 +77,9 @@ class HitShading:
         count = len(position)
         zero = np.zeros(count)
         rows = {
-            "ps_centre": np.column_stack([seen.depth, zero, 1 + octahedral(found.plane @ turn), zero + POLYGON]),
+            "ps_centre": np.column_stack(
+                [seen.depth, found.spread, 1 + octahedral(found.plane @ turn), zero + POLYGON]
+            ),
             "ps_shape": np.column_stack([zero, zero, zero, material]),
             "ps_normal": np.column_stack([found.normal @ turn, found.surface[:, 0]]),
             "ps_color": np.column_stack([found.color, found.surface[:, 1]]),

@@ -89,7 +89,7 @@ def kept_light(
 
 
 def kept_triangles(device: Device, uploads: Uploads, scene: Scene, origin: np.ndarray) -> TracedScene:
-    """Returns the triangles of a scene that rays may meet, in the space of the light tree, whose origin (3,) that is."""
+    """Returns the triangles of a scene that rays may meet, in the light tree's space, whose origin (3,) that is."""
     instances = scene.instances
     shown = tuple(_digest(one) for one in (instances.scatters, instances.matte) if one is not None)
     passes = scene.materials.translucent

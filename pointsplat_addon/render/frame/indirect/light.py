@@ -272,7 +272,7 @@ class _Lists:
         device: Device,
         size: tuple[int, int],
         mirrors: bool,
-        known: tuple[np.ndarray, np.ndarray] = NOT_KNOWN,
+        known: tuple[np.ndarray | None, np.ndarray | None] = NOT_KNOWN,
     ) -> None:
         """`mirrors`: with where each mirrors the eye to. `known`: what is in the first two, flat; None: a pass writes
         it."""

@@ -1,7 +1,7 @@
 """What sharp mirrors show: a ray for each group of sub-samples, and the light that leaves what it meets.
 
-Rays of groups next to each other take different parts of a lobe, and each group shows what all around it have met. Where a
-pixel shows more than its lobe, four rays show the parts of the pixel instead.
+Rays of neighbouring groups take different parts of a lobe, and each group shows what all around it have met
+(shaders/indirect/reflect.frag). Where few of these lie in its lobe and show different light, it traces more.
 """
 
 from __future__ import annotations
@@ -186,8 +186,9 @@ class Mirrors:
             perspective = view.camera.perspective
             across = pixel * (some.depth if perspective else 1.0)
             turns = 2 * np.linalg.norm(some.bends, axis=2).max(axis=1) + (pixel if perspective else 0.0)
+            whole = turns + 4 * some.alpha
             width = across + (turns + 4 * some.alpha / PARTS) * away
-            hits = Hits(triangle[met], weights[met], direction[met], width)
+            hits = Hits(triangle[met], weights[met], direction[met], width, across + whole * away, whole)
             seen = Groups(eye, origin[met], some.normal, (width / pixel).astype(np.float32), some.pixel)
 
             def mirrored(met: Groups, roughness: np.ndarray, plane: np.ndarray, to_eye: np.ndarray) -> Mirrored | None:

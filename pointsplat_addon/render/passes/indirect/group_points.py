@@ -10,7 +10,8 @@ GROUP_POINTS_BLOCK = block("GroupPoints", CAMERA_FIELDS, (("mat4", "tree_from_vi
 
 
 def group_points_program(variant: Variant, mirrors: bool = False) -> Interface:
-    """Returns the program for G-buffers of a variant, which has normals. `mirrors`: with where each mirrors the eye to."""
+    """Returns the program for G-buffers of a variant, which has normals. `mirrors`: also where each mirrors the
+    eye to."""
     read = (
         *variant.samplers(only=("centre", "shape", "normal")),
         ("FLOAT_2D", "ps_list"),

@@ -38,9 +38,9 @@ class TracedTriangles:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Traces rays from origins (N, 3) in directions (N, 3).
 
-        rows: (N,), of coherent_rows. Returns the triangles that they meet first, (N,) int64, -1 where there is none; how
-        far away these are in lengths of the directions, (N,) float32; and the weights of their corners 1 and 2, (N, 2)
-        float32.
+        rows: (N,), of coherent_rows. Returns the triangles that they meet first, (N,) int64, -1 where there is none;
+        how far away these are in lengths of the directions, (N,) float32; and the weights of their corners 1 and 2,
+        (N, 2) float32.
         """
         device = self._device
         if not len(origin):
