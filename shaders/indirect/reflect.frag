@@ -20,8 +20,7 @@ void main()
 {
   ivec2 texel = ivec2(gl_FragCoord.xy);
   vec4 place = texelFetch(ps_places, texel, 0), cells = texelFetch(ps_in_cells, texel, 0);
-  // The share of rays in what is shown; alpha, 0: only its own count; of how many rays of each group it looks at.
-  vec3 kind = texelFetch(ps_kinds, texel, 0).xyz;
+  vec2 kind = texelFetch(ps_kinds, texel, 0).xy;  // the share of rays in what is shown; alpha, 0: only its own count
   if (place.w == 0.0) {
     discard;
   }
@@ -32,16 +31,16 @@ void main()
   vec4 sum = vec4(0.0);
   float total = 0.0;
   ivec2 pixel = ps_listed(texel).pixel, last = textureSize(ps_of_pixels, 0) - 1;
-  int rows = textureSize(ps_places, 0).y, rays = int(kind.z);
+  int rows = textureSize(ps_places, 0).y;
   int reach = kind.x > 0.0 && kind.y > 0.0 ? PS_HALF : -1;
   for (int y = -reach; y <= reach; y++) {
     for (int x = -reach; x <= reach; x++) {
       ivec2 at = pixel + ivec2(x, y);
       bool there = all(greaterThanEqual(at, ivec2(0))) && all(lessThanEqual(at, last));
-      int entry = there ? int(texelFetch(ps_of_pixels, at, 0).x) : -1;
+      vec2 entry = there ? texelFetch(ps_of_pixels, at, 0).xy : vec2(0.0);  // a group; how many rays it has
       float within = (abs(x) == PS_HALF ? 0.5 : 1.0) * (abs(y) == PS_HALF ? 0.5 : 1.0);
-      ivec2 other = ps_list_texel(max(entry, 0));
-      for (int i = entry < 0 ? rays : 0; i < rays; i++) {
+      ivec2 other = ps_list_texel(int(entry.x));
+      for (int i = 0; i < int(entry.y); i++) {
         ivec2 of_ray = ivec2(other.x, other.y + i * rows);
         vec4 end = texelFetch(ps_ends, of_ray, 0);  // place from the eye, or direction where nothing is there; density, < 0 there
         vec3 toward = normalize(end.w < 0.0 ? end.xyz : end.xyz - place.xyz);

@@ -90,8 +90,8 @@ def make_plan(view: ViewToPlan) -> Plan:
     attributes = _attributes(view, kinds)
     varies = attributes.surface or (translucent is not None and translucent.surface)
     lit = translucent is not None and not translucent.alone
-    lighting = _lighting(view, varies, drawn=kinds.solid or lit)
     indirect, term = _indirect(view, kinds), view.request.term
+    lighting = _lighting(view, varies, indirect, drawn=kinds.solid or lit)
     # All terms of the light of a picture see the same.
     normals = bool(lighting) or view.mattes or indirect or attributes.surface or "normal" in passes
     variant, data_variant = _variants(view, kinds, attributes, normals)
@@ -253,9 +253,9 @@ def _spreads(view: ViewToPlan, kinds: _Kinds, variant: Variant) -> bool:
 # Lighting and materials
 
 
-def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
-    """Names of the defines of lights, world and shadows. `varies`: roughness varies within a material. `drawn`:
-    something is drawn."""
+def _lighting(view: ViewToPlan, varies: bool, indirect: bool, drawn: bool) -> tuple[str, ...]:
+    """Names of the defines of lights, world and shadows. `varies`: roughness varies within a material.
+    `indirect`: surfaces receive light from each other. `drawn`: something is drawn."""
     scene = view.scene
     found: tuple[str, ...] = ()
     if drawn and (view.reflects or scene.world.fog is not None) and view.picture:
@@ -263,8 +263,9 @@ def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
         coats = () if table.coat is None else table.coat.roughness
         smoothest = 0.0 if varies else float(np.min([table.roughness.min(), *coats]))
         found = (*_world(scene.world), *light_names(scene.lights, smoothest))
-        if not found and not (table.coat is None and table.sheen is None) and (table.emission > 0).any():
-            found = ("PS_HAS_WORLD",)  # a black one: coats and fibres dim what shines below them
+        layered = not (table.coat is None and table.sheen is None) and (table.emission > 0).any()
+        if not found and (layered or indirect):
+            found = ("PS_HAS_WORLD",)  # a black one: something shines, below coats or fibres, or on others
     return found + (() if view.shadows is None else _shadows(view.shadows))
 
 

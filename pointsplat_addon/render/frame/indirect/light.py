@@ -124,13 +124,14 @@ class GroupsInIndirectLight:
         made: dict[str, Texture] = {}
         columns, height = lists.size
         for name, values in (("ps_shown", shown.light), ("ps_ends", shown.ends), ("ps_kinds", shown.kinds[None])):
-            laid = np.zeros((len(values), texels, 4), np.float32)
+            laid = np.zeros((len(values), texels, values.shape[2]), np.float32)
             laid[:, shown.rows] = values
-            made[name] = device.texture((columns, height * len(values)), "RGBA32F", laid.reshape(-1))
+            format = "RGBA32F" if values.shape[2] == 4 else "RG32F"
+            made[name] = device.texture((columns, height * len(values)), format, laid.reshape(-1))
         width, height = view.size
-        of_pixels = np.full(width * height, -1, np.float32)
-        of_pixels[groups.pixel[shown.rows]] = shown.rows
-        made["ps_of_pixels"] = device.texture((width, height), "R32F", of_pixels)
+        of_pixels = np.zeros((width * height, 2), np.float32)
+        of_pixels[groups.pixel[shown.rows]] = np.column_stack([shown.rows, shown.count])
+        made["ps_of_pixels"] = device.texture((width, height), "RG32F", of_pixels.reshape(-1))
         held = {"ps_places": "ps_places", "ps_rays": "rays", "ps_in_cells": "mirrored"}
         textures = {"ps_list": listed} | made | {name: lists.textures[own] for name, own in held.items()}
         out = device.texture(lists.size, "RGBA32F")

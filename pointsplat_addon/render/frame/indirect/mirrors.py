@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from ....core.indirect.lobes import half_vectors, parts_of_lobes
+from ....core.indirect.lobes import SIDE, half_vectors, parts_of_lobes
 from ....core.numeric.record import record
 from ....core.numeric.vectors import unit_rows
 from ...indirect.light import coherent_rows
@@ -34,6 +34,7 @@ CONTRAST = 0.05  # of light and 0.3 together, between what pixels show, from whi
 MORE = (np.stack([np.arange(8), [3, 6, 0, 5, 1, 7, 2, 4]], axis=1) + 0.5) / 8 - 0.5
 # By which further rays take other parts of a lobe (Roberts 2018).
 TURN_OF_PARTS = np.array([0.7548776662466927, 0.5698402909980532])
+AROUND = tuple(product((-1, 0, 1), repeat=2))
 PARTS = 4  # of a lobe that two rays of neighbouring groups are apart, about, over its width
 
 
@@ -73,7 +74,8 @@ class Shown:
     rows: np.ndarray  # (n,) int64: groups
     light: np.ndarray  # (K, n, 4) float32, of each ray: radiance of surfaces; 1 where there are none
     ends: np.ndarray  # (K, n, 4) float32: see shaders/indirect/reflect.frag; zeros: a group has no further rays
-    kinds: np.ndarray  # (n, 4) float32: likewise
+    kinds: np.ndarray  # (n, 2) float32: likewise
+    count: np.ndarray  # (n,) float32: how many of the K rays each has
 
 
 class Mirrors:
@@ -111,7 +113,9 @@ class Mirrors:
         turn = _turn(view, of, ends)
         narrow, few = alpha < turn, alpha < FEW * turn
         lights, all_ends = [light], [ends]
-        jagged = np.flatnonzero(few & _contrasts(view, of.pixel, light))
+        differs = few & _contrasts(view, of.pixel, light)
+        # Of rough mirrors by squares, or rare rays that meet something bright would be those to which others are added.
+        jagged = np.flatnonzero(differs | (few & (alpha > 0) & _in_squares(view, of.pixel, differs)))
         if len(jagged):
             count, again = len(jagged), np.tile(jagged, len(MORE))
             shifts = np.repeat(np.arange(1, len(MORE) + 1)[:, None] * TURN_OF_PARTS, count, axis=0)
@@ -128,9 +132,10 @@ class Mirrors:
             # Groups count alike, however many rays they have.
             for own_ends in all_ends:
                 own_ends[jagged, 3] *= len(all_ends)
-        sheets = np.where(few, len(lights), 1)
-        kinds = np.column_stack([share[rows], np.where(narrow, 0, alpha), sheets, sheets]).astype(np.float32)
-        return Shown(rows, np.stack(lights), np.stack(all_ends), kinds)
+        kinds = np.column_stack([share[rows], np.where(narrow, 0, alpha)]).astype(np.float32)
+        count = np.ones(len(rows), np.float32)
+        count[jagged] = len(lights)
+        return Shown(rows, np.stack(lights), np.stack(all_ends), kinds, count)
 
     def _first_met(
         self, traced: TracedScene, origin: np.ndarray, direction: np.ndarray
@@ -234,13 +239,20 @@ class Mirrors:
 
 
 def _turn(view: SampleView, of: Reflecting, ends: np.ndarray) -> np.ndarray:
-    """(N,) radians: by how much half vectors turn from a pixel to the next towards what rays have met, `ends` (N, 4) of
-    Shown."""
+    """(N,) radians: by how much half vectors turn from a pixel to the next, towards the nearest of what rays around have
+    met, `ends` (N, 4) of Shown."""
     turn = np.linalg.norm(of.bends, axis=2).max(axis=1)
     if not view.camera.perspective:
         return turn
-    away = np.linalg.norm(ends[:, :3] - of.position, axis=1)
-    near = np.where(ends[:, 3] < 0, 0, of.depth / np.maximum(away, 1e-3 * of.depth))
+    # Not what its own ray has met: a group would have further rays, or none, by what these ought to tell.
+    wide, high = view.size
+    columns, rows = -(-wide // SIDE) + 2, -(-high // SIDE) + 2
+    row, column = np.divmod(of.pixel, wide)
+    square = (row // SIDE + 1) * columns + column // SIDE + 1
+    away = np.linalg.norm(ends[:, :3] - of.position, axis=1) / of.depth
+    least = np.full(rows * columns, np.inf)
+    np.minimum.at(least, square, np.where(ends[:, 3] < 0, np.inf, away))
+    near = 1 / np.maximum(np.min([least[square + y * columns + x] for y, x in AROUND], axis=0), 1e-3)
     return turn + 0.5 * (1 + near) / view.camera.pixel_from_view()[0]
 
 
@@ -292,6 +304,16 @@ def bends(view: SampleView, groups: Groups) -> np.ndarray:
     return found
 
 
+def _in_squares(view: SampleView, pixel: np.ndarray, some: np.ndarray) -> np.ndarray:
+    """(N,) bool: groups of pixels in squares that take all parts of a lobe, in which there are some (N,) bool."""
+    wide, high = view.size
+    row, column = np.divmod(pixel, wide)
+    square = (row // SIDE) * (-(-wide // SIDE)) + column // SIDE
+    found = np.zeros((-(-high // SIDE)) * (-(-wide // SIDE)), bool)
+    found[square[some]] = True
+    return found[square]
+
+
 def _contrasts(view: SampleView, pixel: np.ndarray, light: np.ndarray) -> np.ndarray:
     """(N,) bool: groups of pixels that show other light (N, 4) than those beside them."""
     width, height = view.size
@@ -299,7 +321,7 @@ def _contrasts(view: SampleView, pixel: np.ndarray, light: np.ndarray) -> np.nda
     row, column = np.divmod(pixel, width)
     shown[row + 1, column + 1] = light
     found = np.zeros(len(pixel), bool)
-    for y, x in product((-1, 0, 1), repeat=2):
+    for y, x in AROUND:
         other = shown[row + 1 + y, column + 1 + x]
         with np.errstate(invalid="ignore"):
             found |= (np.abs(other - light) > CONTRAST * (0.3 + np.maximum(other, light))).any(axis=1)
