@@ -45,7 +45,7 @@ def drawn(case):
 
 
 def rays(seen):
-    """(H, W, 3): the eye, and unit directions through the pixels' centres."""
+    """The eye, and unit directions through the pixels' centres, (H, W, 3)."""
     wide, high = SIZE
     y, x = np.mgrid[0:high, 0:wide] + 0.5
     ndc = np.stack([2 * x / wide - 1, 2 * y / high - 1, np.full(x.shape, -1.0), np.ones(x.shape)], axis=-1)
@@ -117,7 +117,7 @@ def test_a_mirror_ball_shows_a_shining_square_where_rays_meet_it():
         even.sum(),
         (even & hit).sum(),
     )
-    assert np.abs(shown - truth)[even].max() < 1e-3
+    assert np.abs(shown - truth)[even].max() < 1e-3  # 0
 
 
 @pytest.mark.parametrize("roughness", [0.1, 0.2])
@@ -179,3 +179,45 @@ def test_rays_meet_the_triangles_that_they_meet_first():
         if found[i] >= 0:
             assert distance[i] == pytest.approx(t.min(), rel=1e-4)
             np.testing.assert_allclose(weights[i], [u[found[i]], v[found[i]]], atol=1e-3)
+
+
+def test_nothing_is_traced_without_bounces_or_sharp_mirrors(monkeypatch):
+    seen, counts = camera((0.0, -1.0, 0.0), (0, WALL, 0.0), SIZE), []
+    trace = TracedTriangles.trace
+
+    def counted(self, origin, *rest):
+        counts.append(len(origin))
+        return trace(self, origin, *rest)
+
+    monkeypatch.setattr(TracedTriangles, "trace", counted)
+    things = (*behind_the_eye(), (of(plane_mesh("mirror", 40.0), METAL), moved((0, WALL, 0))))
+    for roughness, bounces in ((0.0, 0), (0.3, 2)):
+        drawn(Case(lit(things, [sun()], table(roughness)), seen, replace(SETTINGS, bounces=bounces)))
+    assert not counts
+    drawn(Case(lit(things, [sun()], table()), seen, SETTINGS))
+    assert counts
+
+
+def test_mirrors_show_mirrors():
+    """Between two plane mirrors that face each other, by rays as often as those are followed."""
+    seen = camera((0.0, 0.0, 0.0), (0, WALL, 0.0), SIZE)
+    walls = [(of(plane_mesh(f"mirror {y}", 40.0), METAL), moved((0, y, 0))) for y in (WALL, -WALL)]
+    block = (of(cube_mesh("shining block", 0.5), GLOW), moved((0.0, -1.2, 0.0)))
+    shown = drawn(Case(lit((*walls, block), (), table()), seen, SETTINGS))[..., 2]
+    eye, ray = rays(seen)
+    # Along rays, which mirrors fold, the block stands at these places.
+    truth = np.zeros(SIZE[::-1], bool)
+    corners = cube_mesh("cube", 0.5).position
+    low, high = corners.min(axis=0) - [0, 1.2, 0], corners.max(axis=0) - [0, 1.2, 0]
+    for y in (2 * WALL - np.array([high[1], low[1]]), 4 * WALL + np.array([low[1], high[1]])):
+        slab = np.array([[low[0], y[0], low[2]], [high[0], y[1], high[2]]])
+        with np.errstate(all="ignore"):
+            t = (slab[:, None, None] - eye) / ray
+        truth |= t.min(axis=0).max(axis=-1) < t.max(axis=0).min(axis=-1)
+    same = (shown > 0.5) == truth
+    assert truth.sum() > 500
+    assert same.mean() > 0.99
+
+
+def test_what_alpha_cuts_out_is_passed():
+    pass

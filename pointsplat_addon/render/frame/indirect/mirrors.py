@@ -28,7 +28,7 @@ MOST_CUT = 16  # surfaces that a ray passes where alpha cuts them out
 PAST = 1e-4  # of the length of a ray, by which it goes on beyond these
 AGAIN = 2  # times that what rays meet mirrors something sharply, too; further times it shows it as cells do
 LEAST_RISE = 0.01  # sine of the angle at which what mirrors other mirrors reflects at least above its plane
-FEW = 4.0  # alpha over the turn of a half vector from a pixel to the next, below which few neighbours lie in a lobe
+FEW = 2.0  # alpha over the turn of a half vector from a pixel to the next, below which few neighbours lie in a lobe
 CONTRAST = 0.05  # of light and 0.3 together, between what pixels show, from which on more rays are traced
 # Pixels beside a group at which further rays are traced: no two in one row or column.
 MORE = (np.stack([np.arange(8), [3, 6, 0, 5, 1, 7, 2, 4]], axis=1) + 0.5) / 8 - 0.5
