@@ -1,5 +1,5 @@
-"""Cases with indirect light: in a corner by a sun and a sky; among balls and strands by what glows and by a picture; among
-mirrors."""
+"""Cases with indirect light: in a corner by a sun and a sky; among balls and strands by what glows and by a picture;
+among mirrors."""
 
 from __future__ import annotations
 

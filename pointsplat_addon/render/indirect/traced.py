@@ -41,8 +41,8 @@ class Hits:
     weights: np.ndarray  # (N, 2) float32, of corners 1 and 2
     direction: np.ndarray  # (N, 3) unit, of the rays, world
     width: np.ndarray  # (N,) world units that a ray stands for there, across it
-    # The same, and radians between directions, of the whole lobe that it belongs to: lights of which it finds a highlight
-    # are as wide as to be found by all others, too
+    # The same, and radians between directions, of the whole lobe that it belongs to: highlights are as wide as to be
+    # found by all of its rays
     lobe_width: np.ndarray
     lobe_turn: np.ndarray
 

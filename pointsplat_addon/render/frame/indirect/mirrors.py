@@ -239,8 +239,8 @@ class Mirrors:
 
 
 def _turn(view: SampleView, of: Reflecting, ends: np.ndarray) -> np.ndarray:
-    """(N,) radians: by how much half vectors turn from a pixel to the next, towards the nearest of what rays around have
-    met, `ends` (N, 4) of Shown."""
+    """(N,) radians: by how much half vectors turn from a pixel to the next, towards the nearest of what rays around
+    have met, `ends` (N, 4) of Shown."""
     turn = np.linalg.norm(of.bends, axis=2).max(axis=1)
     if not view.camera.perspective:
         return turn
