@@ -21,8 +21,8 @@ from tests.support.leave_out.scenes import through_a_lens
 COMBINED = frozenset({"combined"})
 EVERY = COMBINED | OF_LIGHT
 SCENES = (
-    "mixed", "balls", "emission", "holdout", "environment", "in_a_corner", "among_balls_and_strands", "among_mirrors", "smoke",
-    "tinted_smoke", "panes_of_functions", "tinted_panes", "captured_among", "captured_lit", "captured_matte",
+    "mixed", "balls", "emission", "holdout", "environment", "in_a_corner", "among_balls_and_strands", "among_mirrors",
+    "smoke", "tinted_smoke", "panes_of_functions", "tinted_panes", "captured_among", "captured_lit", "captured_matte",
     "captured_trained", "in_fog", "in_smoke", "foliage", "strands", "region", "parallel", "empty",
 )  # fmt: skip
 WORST = 2e-6  # of the brightest pixel; measured 1.22e-6, where colours are so faint that they count as none

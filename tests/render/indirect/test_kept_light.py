@@ -15,7 +15,9 @@ from scripts.scenes.cameras import camera
 from scripts.scenes.case import Case
 
 COMBINED = frozenset({"combined"})
-CASES = pytest.mark.parametrize("make", [indirect_cases.in_a_corner, indirect_cases.among_balls_and_strands])
+CASES = pytest.mark.parametrize(
+    "make", [indirect_cases.in_a_corner, indirect_cases.among_balls_and_strands, indirect_cases.among_mirrors]
+)
 
 
 def renderer(store: Store | None = None) -> Renderer:
