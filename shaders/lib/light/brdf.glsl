@@ -5,7 +5,7 @@
 // Reference and sources: core/light/bsdf.py. Reads ps_lights (rows 0 .. PS_TABLE_ROWS: the reflectance table).
 // PS_HAS_METAL: something is metallic. PS_ONE_SURFACE: nothing is, and roughness and eta are those of the whole scene.
 
-#include "lib/light/reflecting_normal.glsl"
+#include "lib/geometry/reflecting_normal.glsl"
 #include "lib/light/terms.glsl"
 
 #if defined(PS_ROUGH_DIFFUSE) || defined(PS_SHEEN) || defined(PS_TOON)
