@@ -32,6 +32,7 @@ FEW = 2.0  # alpha over the turn of a half vector from a pixel to the next, belo
 CONTRAST = 0.05  # of light and 0.3 together, between what pixels show, from which on more rays are traced
 # Pixels beside a group at which further rays are traced: no two in one row or column.
 MORE = (np.stack([np.arange(8), [3, 6, 0, 5, 1, 7, 2, 4]], axis=1) + 0.5) / 8 - 0.5
+SHUFFLED = np.array([4, 0, 6, 2, 7, 3, 1, 5])
 # By which further rays take other parts of a lobe (Roberts 2018).
 TURN_OF_PARTS = np.array([0.7548776662466927, 0.5698402909980532])
 AROUND = tuple(product((-1, 0, 1), repeat=2))
@@ -118,10 +119,15 @@ class Mirrors:
         jagged = np.flatnonzero(differs | (few & (alpha > 0) & _in_squares(view, of.pixel, differs)))
         if len(jagged):
             count, again = len(jagged), np.tile(jagged, len(MORE))
-            shifts = np.repeat(np.arange(1, len(MORE) + 1)[:, None] * TURN_OF_PARTS, count, axis=0)
+            number = np.repeat(np.arange(len(MORE)), count)
+            within = (parts[again] + (number + 1)[:, None] * TURN_OF_PARTS) % 1.0
+            # Those that count alone are a whole lobe together, without its rim, for which one in 64 may stand but not one
+            # in 8.
+            order = SHUFFLED[(number + (len(MORE) * parts[again, 0]).astype(np.int64)) % len(MORE)]
+            within[:, 0] = np.where(narrow[again], (order + 0.5) / len(MORE), within[:, 0])
             more = self._traced_light(
                 view, traced, groups.eye, of.take(again), np.repeat(MORE, count, axis=0),
-                (parts[again] + shifts) % 1.0, lit, AGAIN,
+                within, lit, AGAIN,
             )  # fmt: skip
             found, found_ends = (one.reshape(len(MORE), count, 4) for one in more)
             light[jagged[narrow[jagged]]] = found.mean(axis=0)[narrow[jagged]]
