@@ -30,17 +30,20 @@ def with_material(material):
 
 def block(color, place, scale):
     bpy.ops.mesh.primitive_cube_add(size=1, location=place, rotation=(0, 0, 0.4))
-    with_material(look("block", color, Roughness=1.0, Specular_IOR_Level=0.0)).scale = scale
+    made = with_material(look("block", color, Roughness=1.0, Specular_IOR_Level=0.0))
+    made.scale = scale
+    return made
 
 
-def drawn(tmp_path, roughness):
-    """(H, W, 3) of Cycles and of PointSplat: a ball of metal and blocks on a polished floor."""
+def drawn(tmp_path, roughness, mirrored=True):
+    """(H, W, 3) of Cycles and of PointSplat: a ball of metal and blocks on a polished floor. `mirrored`: glossy rays
+    see all of it."""
     scene = bpy.context.scene
     bpy.ops.mesh.primitive_plane_add(size=20)
     with_material(look("floor", (0.15, 0.12, 0.1), Roughness=roughness))
     bpy.ops.mesh.primitive_uv_sphere_add(segments=64, ring_count=32, radius=0.6, location=(0, 0, 0.6))
     with_material(look("metal", (0.9, 0.9, 0.9), Roughness=roughness, Metallic=1.0)).data.shade_smooth()
-    block((0.6, 0.06, 0.05), (-1.2, 0.3, 0.5), (0.6, 0.6, 1.0))
+    block((0.6, 0.06, 0.05), (-1.2, 0.3, 0.5), (0.6, 0.6, 1.0)).visible_glossy = mirrored
     block((0.1, 0.4, 0.08), (1.1, -0.5, 0.25), (0.4, 0.4, 0.5))
     lamp = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
     scene.collection.objects.link(lamp)
@@ -73,3 +76,8 @@ def test_mirrors_show_what_is_around_them_as_in_cycles(empty_file, tmp_path, rou
     # As cells of 18 degrees show it: 0.0374, 0.0369, 0.0338, and means of 0.973.
     assert np.sqrt(np.mean((found - cycles) ** 2)) < 0.008  # 0.0048, 0.0049, 0.0060
     assert abs(found.mean() / cycles.mean() - 1) < 0.006  # 1.0030, 1.0028, 1.0028
+
+
+def test_mirrors_do_not_show_what_glossy_rays_do_not_see(empty_file, tmp_path):
+    cycles, found = drawn(tmp_path, 0.0, mirrored=False)
+    assert np.sqrt(np.mean((found - cycles) ** 2)) < 0.006  # 0.0042

@@ -65,8 +65,8 @@ def scene_triangles(scene: Scene, origin: np.ndarray) -> tuple[SceneTriangles, n
     are none, or too many."""
     instances, found, corners, total = scene.instances, [], [], 0
     shown = np.isfinite(instances.world_from_object).all(axis=(1, 2))
-    if instances.scatters is not None:
-        shown &= instances.scatters
+    if instances.mirrored is not None:
+        shown &= instances.mirrored
     if instances.matte is not None:
         shown &= ~instances.matte
     rows_of = instances.of_each(len(scene.geometries), shown)

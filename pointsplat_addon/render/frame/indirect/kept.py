@@ -91,10 +91,10 @@ def kept_light(
 def kept_triangles(device: Device, uploads: Uploads, scene: Scene, origin: np.ndarray) -> TracedScene:
     """Returns the triangles of a scene that rays may meet, in the light tree's space, whose origin (3,) that is."""
     instances = scene.instances
-    shown = tuple(_digest(one) for one in (instances.scatters, instances.matte) if one is not None)
+    shown = tuple(None if one is None else _digest(one) for one in (instances.mirrored, instances.matte))
     passes = scene.materials.translucent
     depends_on = (
-        _digest(instances.geometry, instances.world_from_object, origin), shown, instances.matte is None,
+        _digest(instances.geometry, instances.world_from_object, origin), shown,
         b"" if passes is None else _digest(passes),
     )  # fmt: skip
     key = Key(Kind.TRACED_TRIANGLES, tuple(geometry.key for geometry in scene.geometries), other=depends_on)

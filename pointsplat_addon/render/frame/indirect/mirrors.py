@@ -121,8 +121,8 @@ class Mirrors:
             count, again = len(jagged), np.tile(jagged, len(MORE))
             number = np.repeat(np.arange(len(MORE)), count)
             within = (parts[again] + (number + 1)[:, None] * TURN_OF_PARTS) % 1.0
-            # Those that count alone are a whole lobe together, without its rim, for which one in 64 may stand but not one
-            # in 8.
+            # Those that count alone are a whole lobe together, without its rim, for which one in 64 may stand but not
+            # one in 8.
             order = SHUFFLED[(number + (len(MORE) * parts[again, 0]).astype(np.int64)) % len(MORE)]
             within[:, 0] = np.where(narrow[again], (order + 0.5) / len(MORE), within[:, 0])
             more = self._traced_light(
