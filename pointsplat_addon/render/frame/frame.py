@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from ...core.strand.segments import sample_offsets
 from ..device.clock import Clock
 from ..device.protocol import Texture
 from ..indirect.known_sites import Slices
+from ..indirect.traced import shines_past_rays
 from ..passes.captured.half_depth import half_depth
 from ..passes.gbuffer import GBuffer
 from ..passes.grouping.centre import CentreDepths
@@ -209,7 +211,8 @@ class Frame:
         light, mirrors = found[0], None
         if plan.mirrors:
             shading = HitShading(device, scene, plan, uploads, frame_plan.request.samples)
-            mirrors = Mirrors(lambda: kept_triangles(device, uploads, scene, light.origin), shading)
+            triangles = partial(kept_triangles, device, uploads, scene, light.origin)
+            mirrors = Mirrors(triangles, shading, shines_past_rays(scene))
         return GroupsInIndirectLight(device, light, uploads, plan.variant, self.slices, mirrors)
 
     # Parts

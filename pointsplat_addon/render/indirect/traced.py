@@ -244,6 +244,20 @@ def sharp_mirrors(table: MaterialTable) -> np.ndarray:
     return reflecting(table) & ((table.roughness < BLURRED) | _varies(table, "roughness"))
 
 
+def shines_past_rays(scene: Scene) -> bool:
+    """Whether points or strands send light that rays among triangles do not find. What is all metal sends none."""
+    table = scene.materials
+    dark = sharp_mirrors(table) & (table.metallic >= 1) & ~(table.emission > 0).any(axis=1)
+    for geometry in scene.geometries:
+        if geometry.strands is not None:
+            return True
+        if geometry.cloud is not None:
+            rows = np.zeros(1, int) if geometry.cloud.material is None else np.unique(geometry.cloud.material)
+            if not dark[np.minimum(rows, len(table) - 1)].all():
+                return True
+    return False
+
+
 def is_traced(roughness: np.ndarray) -> np.ndarray:
     """(N,) float32: the share of what surfaces mirror that rays show; 0 where roughness < 0: nothing is mirrored."""
     share = np.clip((BLURRED - roughness) / (BLURRED - SHARP), 0, 1)

@@ -13,8 +13,10 @@ from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, textu
 from pointsplat_addon.core.numeric.vectors import unit_rows
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.world import World
+from pointsplat_addon.render.indirect import traced
 from pointsplat_addon.render.indirect.light import coherent_rows
 from pointsplat_addon.render.passes.indirect.trace import TracedTriangles
+from pointsplat_addon.render.plan import make_plan
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import drawing
 from scripts.scenes.build import materials, mesh, moved, points, scene, sun
@@ -243,3 +245,25 @@ def test_what_alpha_cuts_out_is_passed():
     # Mirrors cut where alpha is a half, pictures a share of each pixel's sub-samples.
     assert ((shown > 0.5) != (truth > 0.5)).sum() < 0.12 * (truth > 0.5).sum()  # 57 of 607
     assert abs(shown.sum() / truth.sum() - 1) < 0.05
+
+
+def test_mirrors_show_points_as_cells_do_where_rays_meet_nothing():
+    """A glowing ball of points behind the eye, which no triangle hides."""
+    seen = camera((0.0, -1.0, 0.0), (0, WALL, 0.0), SIZE)
+    cloud = PointCloud(
+        np.zeros((1, 3), np.float32), radii=np.ones((1, 1), np.float32), material=np.full(1, GLOW, np.uint16)
+    )
+    ball = (points("glowing ball", cloud), moved((0, -5.0, 0), 2.0))
+    wall = (of(plane_mesh("mirror", 40.0), METAL), moved((0, WALL, 0)))
+    shown = drawn(Case(lit((ball, wall), (), table()), seen, SETTINGS))[..., 2]
+    assert shown[SIZE[1] // 2, SIZE[0] // 2] > 0.3
+
+
+def test_mirrors_show_what_cells_do_where_there_are_too_many_triangles(monkeypatch):
+    seen = camera((0.0, -1.0, 0.3), (0, WALL, 0.2), SIZE)
+    things = (*behind_the_eye(), (of(plane_mesh("mirror", 40.0), METAL), moved((0, WALL, 0))))
+    case = Case(lit(things, [sun(2.0)], table()), seen, SETTINGS)
+    monkeypatch.setattr(traced, "MOST_TRIANGLES", 10)
+    found = drawn(case)
+    monkeypatch.setattr(make_plan, "sharp_mirrors", lambda table: np.zeros(len(table), bool))
+    np.testing.assert_array_equal(found, drawn(case))

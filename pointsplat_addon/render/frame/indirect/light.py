@@ -81,17 +81,18 @@ class GroupsInIndirectLight:
         eye = view.world_from_view[:3, 3] - self._light.origin
         to_eye = directions_to_eye(view, place[:, :3])
         groups = Groups(eye, place[:, :3] + eye, up[:, :3], place[:, 3], entries[:, 0].astype(np.int64))
-        if mirrors is None:
+        if mirrors is None or not mirrors.trace(groups, up[:, 3]):
             self._receive(view, lists, listed, groups, place, up, to_eye)
             return lists.received
-        # What sharp mirrors show is not gathered into cells.
-        gathering = up.copy()
-        gathering[is_traced(up[:, 3]) == 1, 3] = -1
+        gathering, beyond = up, None
+        if not mirrors.others:  # then cells show nothing of sharp mirrors
+            gathering = up.copy()
+            gathering[is_traced(up[:, 3]) == 1, 3] = -1
         self._receive(view, lists, listed, groups, place, gathering, to_eye)
+        if mirrors.others:
+            beyond = device.read(lists.textures["mirrored"]).reshape(-1, 4)[:count]
         ray = device.read(lists.textures["rays"]).reshape(-1, 4)[:count]
-        shown = mirrors.shown(view, groups, up[:, 3], ray, self._lit)
-        if shown is None:
-            return lists.received
+        shown = mirrors.shown(view, groups, up[:, 3], ray, beyond, self._lit)
         self._mirrored = self._reflected(view, lists, listed, groups, shown)
         return lists.received | {"ps_mirrored_light": self._mirrored}
 

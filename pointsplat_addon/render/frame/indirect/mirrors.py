@@ -82,23 +82,33 @@ class Shown:
 class Mirrors:
     """Shows sharp mirrors what is around them."""
 
-    def __init__(self, traced: Callable[[], TracedScene], shading: HitShading) -> None:
-        """`traced`: makes the tree when first something is mirrored, or returns it."""
-        self._traced, self._shading = traced, shading
+    def __init__(self, traced: Callable[[], TracedScene], shading: HitShading, others: bool) -> None:
+        """`traced`: makes the tree when first something is mirrored, or returns it. `others`: there are things beside
+        triangles, which rays pass."""
+        self._traced, self._shading, self.others = traced, shading, others
 
-    def shown(self, view: SampleView, groups: Groups, roughness: np.ndarray, ray: np.ndarray, lit: Lit) -> Shown | None:
-        """Returns what groups show by rays; None: none does.
+    def trace(self, groups: Groups, roughness: np.ndarray) -> bool:
+        """Whether `shown` may be called: some group mirrors sharply, and there is what rays may meet."""
+        return bool(((is_traced(roughness) > 0) & (groups.depth != 0)).any()) and self._traced().tree is not None
+
+    def shown(
+        self,
+        view: SampleView,
+        groups: Groups,
+        roughness: np.ndarray,
+        ray: np.ndarray,
+        beyond: np.ndarray | None,
+        lit: Lit,
+    ) -> Shown:
+        """Returns what groups show by rays.
 
         roughness (N,): < 0: nothing is mirrored. ray: (N, 4), mirrored views in the world, and how far what groups
-        stand for bulges above their planes.
+        stand for bulges above their planes. beyond: (N, 4), what groups mirror where rays meet nothing; None: the
+        world.
         """
         share = is_traced(roughness)
         rows = np.flatnonzero((share > 0) & (groups.depth != 0))
-        if not len(rows):
-            return None
         traced = self._traced()
-        if traced.triangles is None or traced.tree is None:
-            return None
         position = groups.position[rows] - groups.eye
         to_eye = _to_eye(view, position)
         normal = unit_rows(to_eye + ray[rows, :3])
@@ -138,6 +148,9 @@ class Mirrors:
             # Groups count alike, however many rays they have.
             for own_ends in all_ends:
                 own_ends[jagged, 3] *= len(all_ends)
+        if beyond is not None:
+            for own in lights:
+                own[:, :] = own[:, :] * [1, 1, 1, 0] + own[:, 3:] * beyond[rows]
         kinds = np.column_stack([share[rows], np.where(narrow, 0, alpha)]).astype(np.float32)
         count = np.ones(len(rows), np.float32)
         count[jagged] = len(lights)
