@@ -77,7 +77,8 @@ class GroupsInIndirectLight:
             textures={name: texture for name, texture in textures.items() if name in names},
         )
         count = len(entries)
-        place, up = (device.read(lists.textures[name]).reshape(-1, 4)[:count] for name in ("ps_places", "ps_ups"))
+        held = "ps_places", "ps_ups", *(() if mirrors is None else ("rays",))
+        place, up, *rays = (device.read(lists.textures[name]).reshape(-1, 4)[:count] for name in held)
         eye = view.world_from_view[:3, 3] - self._light.origin
         to_eye = directions_to_eye(view, place[:, :3])
         groups = Groups(eye, place[:, :3] + eye, up[:, :3], place[:, 3], entries[:, 0].astype(np.int64))
@@ -91,8 +92,7 @@ class GroupsInIndirectLight:
         self._receive(view, lists, listed, groups, place, gathering, to_eye)
         if mirrors.others:
             beyond = device.read(lists.textures["mirrored"]).reshape(-1, 4)[:count]
-        ray = device.read(lists.textures["rays"]).reshape(-1, 4)[:count]
-        shown = mirrors.shown(view, groups, up[:, 3], ray, beyond, self._lit)
+        shown = mirrors.shown(view, groups, up[:, 3], rays[0], beyond, self._lit)
         self._mirrored = self._reflected(view, lists, listed, groups, shown)
         return lists.received | {"ps_mirrored_light": self._mirrored}
 
