@@ -160,6 +160,7 @@ class Synchronizer:
             casts=_flags([s.casts for s in sources], source),
             seen=_flags([s.seen for s in sources], source),
             scatters=_flags([s.scatters for s in sources], source),
+            mirrored=_flags([s.mirrored for s in sources], source),
             matte=np.array([s.matte for s in sources], bool)[source] if any(s.matte for s in sources) else None,
             names=tuple([sources[i].name for i in source]),
             objects={name: column[drawn] for name, column in values.items()},

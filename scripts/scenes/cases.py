@@ -16,7 +16,7 @@ from scripts.scenes.captured_cases import (
 )
 from scripts.scenes.case import Case
 from scripts.scenes.detailed_cases import foliage, many_towers, split_mesh, strands
-from scripts.scenes.indirect_cases import among_balls_and_strands, in_a_corner, under_smoke
+from scripts.scenes.indirect_cases import among_balls_and_strands, among_mirrors, in_a_corner, under_smoke
 from scripts.scenes.lit_cases import emission, environment, lights, reflections
 from scripts.scenes.solid_cases import (
     balls,
@@ -69,6 +69,7 @@ CASES: dict[str, Callable[[], Case]] = {
         reflections,
         in_a_corner,
         among_balls_and_strands,
+        among_mirrors,
         under_smoke,
         inside,
         far_away,

@@ -1,5 +1,5 @@
 """Cases with indirect light: in a corner by a sun and a sky; among balls and strands by what glows and by a picture;
-under smoke."""
+under smoke, among mirrors."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from pointsplat_addon.core.scene.mesh import Mesh
+from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from scripts.scenes.build import materials, mesh, moved, points, scene, strand_lines, sun
@@ -14,7 +16,7 @@ from scripts.scenes.cameras import camera
 from scripts.scenes.case import Case
 from scripts.scenes.clouds import smoke_cloud, sphere_cloud
 from scripts.scenes.lit_cases import environment
-from scripts.scenes.meshes import cube_mesh, plane_mesh
+from scripts.scenes.meshes import cube_mesh, plane_mesh, sphere_mesh
 
 SETTINGS = Settings(technique="VISIBILITY", use_indirect=True, bounces=2)
 LAID = np.array([[1.0, 0, 0, 0], [0, 0, -1, -0.8], [0, 1, 0, 0], [0, 0, 0, 1]])  # planes stand upright
@@ -26,6 +28,24 @@ def in_a_corner() -> Case:
     block = replace(cube_mesh("red cube", 0.8), materials=(1,), material=np.full(12, 1, np.uint16))
     floor, wall = (mesh(plane_mesh(name, 4.0), "POLYGONS") for name in ("floor", "wall"))
     things = ((floor, LAID @ moved((0, 0, 0.4))), (wall, moved((0, 1.2, 0))), (mesh(block, "POLYGONS"), moved()))
+    lit = scene(*things, lights=[sun(2.0)], world=World(np.array([0.3, 0.4, 0.6])), table=table)
+    return Case(lit, camera((0.4, -3.0, 0.6)), SETTINGS)
+
+
+def among_mirrors() -> Case:
+    """A ball and a wall of metal, and a red cube, on a polished floor."""
+    looks = {"base_color": [[0.2, 0.2, 0.25], [0.7, 0.1, 0.1], [0.9, 0.85, 0.8]], "metallic": [0, 0, 1]}
+    table = materials(3, roughness=[0.15, 0.6, 0.0], **looks)
+
+    def of(made: Mesh, row: int) -> Geometry:
+        return mesh(replace(made, key=f"{made.key} of {row}", materials=(row,), material=None), "POLYGONS")
+
+    things = (
+        (of(plane_mesh("polished floor", 4.0), 0), LAID @ moved((0, 0, 0.4))),
+        (of(plane_mesh("metal wall", 4.0), 2), moved((0, 1.2, 0))),
+        (of(sphere_mesh("metal ball", 16), 2), moved((-0.6, -0.3, -0.35), 0.4)),
+        (of(cube_mesh("mirrored cube", 0.5), 1), moved((0.5, 0, 0))),
+    )
     lit = scene(*things, lights=[sun(2.0)], world=World(np.array([0.3, 0.4, 0.6])), table=table)
     return Case(lit, camera((0.4, -3.0, 0.6)), SETTINGS)
 

@@ -1,6 +1,7 @@
 // Where the groups of a list are, and how they are turned, in the space of the light tree: one texel a group.
 //   out_place: position; depth in the view, 0: no group
 //   out_up: normal of the side that is seen; roughness, -1 where nothing is mirrored
+//   out_ray: PS_MIRRORS: where the eye is mirrored to; how far what the group stands for bulges above its plane
 
 #include "lib/geometry/camera.glsl"
 #include "lib/geometry/surfel_kind.glsl"
@@ -42,4 +43,11 @@ void main()
   roughness = mirrors && !ps_is_strand(centre) ? roughness : -1.0;
   out_place = vec4(mat3(u.tree_from_view) * position, centre.x);
   out_up = vec4(mat3(u.tree_from_view) * normal, roughness);
+#ifdef PS_MIRRORS
+  bool bends = centre.w <= PS_POLYGON && centre.z > 0.5;
+  vec3 plane = bends ? ps_unpack_normal(centre.z - 1.0) : vec3(0.0);
+  vec3 reflecting = ps_reflecting_normal(normal, plane, to_eye);
+  vec3 ray = 2.0 * dot(reflecting, to_eye) * reflecting - to_eye;
+  out_ray = vec4(mat3(u.tree_from_view) * ray, bends ? shape.z : 0.0);
+#endif
 }

@@ -2,7 +2,8 @@
 // that show nothing are left to background.frag. PS_AUXILIARY_ONLY: only passes beside Combined are drawn. PS_GROUPED: the
 // texels are a list of groups of sub-samples, and shape.xy is where in the pixel the one lies that stands for the group.
 // PS_FOOTPRINT: shadows are looked up at each of these sub-samples. PS_MATTES: some groups are mattes, which are left to
-// PS_CATCHER, for which light is that of what was added to a capture. PS_BEHIND: what mattes let through.
+// PS_CATCHER, for which light is that of what was added to a capture. PS_BEHIND: what mattes let through. PS_HITS: the texels
+// are a list of what rays have met.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/visibility/lattice.glsl"
@@ -96,12 +97,19 @@ void main()
   vec3 normal = vec3(0.0, 0.0, 1.0), plane = vec3(0.0);
   vec3 position = ps_view_from_pixel(at, centre.x);
 #endif
+#ifdef PS_HITS
+  position = texelFetch(ps_hit_places, pixel, 0).xyz;
+#endif
 #ifdef PS_COARSE
   // A coarse node lies below the surface that it stands for, which casts shadows as fine as ever: it is lit above that.
   float radius = centre.w > PS_POLYGON ? 2.0 * max(abs(shape.x), length(shape.yz)) : 0.0;  // pixels
   position += normal * (radius * ps_pixel_size(centre.x));
 #endif
+#ifdef PS_HITS
+  vec3 to_eye = -texelFetch(ps_hit_rays, pixel, 0).xyz;
+#else
   vec3 to_eye = -ps_ray(at);
+#endif
 #ifdef PS_NORMAL
   normal *= own_pixel && !bends && dot(normal, to_eye) < 0.0 ? -1.0 : 1.0;
 #endif

@@ -106,6 +106,7 @@ class Instances:
     casts: np.ndarray | None = None  # (I,) bool: casts shadows; None: all do
     seen: np.ndarray | None = None  # (I,) bool: cameras see it; None: all
     scatters: np.ndarray | None = None  # (I,) bool: it hides and lights what indirect light falls on; None: all do
+    mirrored: np.ndarray | None = None  # (I,) bool: rays from sharp mirrors meet it; None: all
     # (I,) bool: meshes that stand for surfaces of footage or captures: they hide what is behind them, are not seen, and
     # catch shadows
     matte: np.ndarray | None = None

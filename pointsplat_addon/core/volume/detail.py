@@ -11,6 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..numeric.linear import largest_singular_value
+from ..scene.camera import Camera
 from ..scene.cloud import PointCloud
 from ..splat.kernel import EVEN_SPACING
 from .lattice import group_equal_rows
@@ -25,6 +27,29 @@ def voxel_edge(cloud: PointCloud) -> float:
     """Returns the mean edge in object units of the voxels that the points of a cloud (N, ...) stand for, N > 0."""
     assert cloud.radii is not None
     return float(np.prod(cloud.radii[0].astype(np.float64)) ** (1 / cloud.radii.shape[1])) / (2 * EVEN_SPACING)
+
+
+def widest_voxel(cloud: PointCloud, view_from_object: np.ndarray, camera: Camera) -> float:
+    """Returns how many pixels long the edge of a volume's voxel is at most.
+
+    Of voxels that instances (I, 4, 4) show in the whole picture, whichever part of it is drawn; 0 where they show none.
+    """
+    fx, fy, cx, cy = camera.pixel_from_view()
+    edge = voxel_edge(cloud) * max(abs(fx), abs(fy)) * largest_singular_value(view_from_object[:, :3, :3])
+    if not camera.perspective:
+        return float(edge.max(initial=0.0))
+    (x0, y0, _, _), (width, height) = camera.window, camera.resolution
+    widest = 0.0
+    for matrix, own in zip(view_from_object, edge.tolist(), strict=True):
+        rows = matrix[:3, :3].astype(np.float32)
+        place = (matrix[:3, :3] @ cloud.origin + matrix[:3, 3]).astype(np.float32)
+        x, y, z = (cloud.position @ row + at for row, at in zip(rows, place, strict=True))
+        with np.errstate(all="ignore"):
+            # Rims of voxels reach into the picture from outside.
+            column, row, rim = cx + x0 - fx * x / z, cy + y0 - fy * y / z, 2 * own / -z
+            seen = (z < -camera.near) & (column > -rim) & (column < width + rim) & (row > -rim) & (row < height + rim)
+        widest = max(widest, own / -float(z.max(where=seen, initial=-np.inf)))
+    return widest
 
 
 def widened(level: int) -> float:

@@ -51,6 +51,7 @@ class Source:
     casts: bool  # whether it casts shadows
     seen: bool  # whether cameras see it
     scatters: bool  # whether diffuse light sees it
+    mirrored: bool  # whether mirrors show it
     matte: bool  # whether it is a shadow catcher
     generated: bool  # whether an instancer made it: its data may belong to the instancer
     editing: bpy.types.Object | None = None  # the object, if its mesh is in edit mode
@@ -228,6 +229,7 @@ def _make_source(
         casts=visible.casts,
         seen=visible.drawn,
         scatters=visible.scatters,
+        mirrored=visible.mirrored,
         generated=generated,
         editing=ob if ob.type == "MESH" and ob.data.is_editmode else None,
         transfer=convert_transfer(ob) if ob.type == "VOLUME" else None,
@@ -281,13 +283,14 @@ def _particles(emitter: Source, ob: bpy.types.Object, override: bpy.types.Materi
 
 
 class Flags(NamedTuple):
-    """Visibility of an instance, one bool each: to the camera, as holdout, to shadow rays, to diffuse rays, as shadow
-    catcher."""
+    """Visibility of an instance, one bool each: to the camera, as holdout, to shadow rays, to diffuse rays, to glossy
+    rays, as shadow catcher."""
 
     drawn: bool
     holdout: bool
     casts: bool  # whether it casts shadows
     scatters: bool  # whether diffuse light sees it
+    mirrored: bool  # whether mirrors show it
     catcher: bool  # whether it is a shadow catcher
 
 
@@ -299,8 +302,15 @@ def _visibility(
     if uid not in flags:
         drawn = parent.visible_camera and not parent.indirect_only_get(view_layer=view_layer)
         holdout = parent.holdout_get(view_layer=view_layer)
-        casts, scatters, catcher = parent.visible_shadow, parent.visible_diffuse, parent.is_shadow_catcher
-        flags[uid] = Flags(drawn, holdout, casts, scatters, catcher)
-    drawn, holdout, casts, scatters, catcher = flags[uid]
-    casts, scatters = casts and ob.visible_shadow, scatters and ob.visible_diffuse
-    return Flags(drawn and ob.visible_camera, holdout, casts, scatters, catcher or ob.is_shadow_catcher)
+        rays = parent.visible_shadow, parent.visible_diffuse, parent.visible_glossy
+        flags[uid] = Flags(drawn, holdout, *rays, parent.is_shadow_catcher)
+    of = flags[uid]
+    casts, scatters = of.casts and ob.visible_shadow, of.scatters and ob.visible_diffuse
+    return Flags(
+        of.drawn and ob.visible_camera,
+        of.holdout,
+        casts,
+        scatters,
+        of.mirrored and ob.visible_glossy,
+        of.catcher or ob.is_shadow_catcher,
+    )

@@ -321,6 +321,7 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
         column.prop(ob, "visible_camera", text="Camera")
         if not is_captured(ob.data):  # captured splats light nothing, and hide no sky
             column.prop(ob, "visible_diffuse", text="Diffuse")
+            column.prop(ob, "visible_glossy", text="Glossy")
         column.prop(ob, "visible_shadow", text="Shadow")
         if ob.type == "MESH":
             column.prop(ob, "is_shadow_catcher")

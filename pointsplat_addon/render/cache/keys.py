@@ -106,6 +106,7 @@ class Kind(Enum):
     LIGHT_SHARES = auto()  # that reach the translucent splats of one of the frames in the making
     LIGHT_BAKER = auto()  # surfels that are being lit
     LIGHT_TREE = auto()  # of all that hides or scatters light, with what leaves it
+    TRACED_TRIANGLES = auto()  # of all that sharp mirrors show
     # Of the world
     IMAGE_DIGEST = auto()
     # Of the host

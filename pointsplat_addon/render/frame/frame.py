@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from ..device.clock import Clock
 from ..device.protocol import Texture
 from ..indirect.known_sites import Slices
 from ..indirect.light import IndirectLight
+from ..indirect.traced import shines_past_rays
 from ..passes.captured.half_depth import half_depth
 from ..passes.gbuffer import GBuffer
 from ..passes.grouping.centre import CentreDepths
@@ -31,8 +33,10 @@ from ..plan.frame_plan import make_frame_plan
 from ..plan.request import Request
 from .data import DataPasses
 from .defocus import OutOfFocus, in_focus
-from .indirect.kept import kept_light
+from .indirect.hits import HitShading
+from .indirect.kept import kept_light, kept_triangles
 from .indirect.light import GroupsInIndirectLight
+from .indirect.mirrors import Mirrors
 from .lens_samples import LensSamples
 from .panes.layers import Panes
 from .resources import FrameResources
@@ -175,7 +179,9 @@ class Frame:
         passes = self.frame_plan.request.passes
         indirect = None
         if plan.indirect and self._indirect is not None:
-            indirect = GroupsInIndirectLight(device, self._indirect, self.uploads, plan.variant, self.slices)
+            light = self._indirect
+            mirrors = self._mirrors(light)
+            indirect = GroupsInIndirectLight(device, light, self.uploads, plan.variant, self.slices, mirrors)
         part, panes = self.frame_plan.request.part if self._in_parts else (0, 1), None
         if plan.panes:
             panes = self._own(
@@ -210,6 +216,15 @@ class Frame:
 
         self.clock.run("light tree", make)
         return found[0]
+
+    def _mirrors(self, light: IndirectLight) -> Mirrors | None:
+        """Returns what shows sharp mirrors what rays from them meet; None where there are none."""
+        plan, scene = self.frame_plan.plan, self.frame_plan.scene
+        if not plan.mirrors:
+            return None
+        shading = HitShading(self.device, scene, plan, self.uploads, self.frame_plan.request.samples)
+        triangles = partial(kept_triangles, self.device, self.uploads, scene, light.origin)
+        return Mirrors(triangles, shading, shines_past_rays(scene))
 
     # Parts
 

@@ -15,6 +15,7 @@ from ...core.scene.scene import Scene
 from ...core.scene.strands import Strands
 from ...core.scene.world import World
 from ...core.surface.appearance import graphs_of
+from ..indirect.traced import sharp_mirrors
 from ..passes.captured.project import UNLIT, CapturedLighting
 from ..passes.ewa.options import EwaOptions
 from ..passes.ewa.options import options as ewa_options
@@ -22,7 +23,7 @@ from ..passes.gbuffer import Variant
 from ..passes.pages.point_page import PointOptions
 from ..passes.shading.averages import averaged
 from ..passes.shading.data import NEED_OWNER, data
-from ..passes.shading.terms import ENVIRONMENT, VOLUME, Term
+from ..passes.shading.terms import ENVIRONMENT, GLOSSY, VOLUME, Term
 from ..passes.translucent.options import TranslucentOptions
 from ..passes.translucent.options import options as translucent_options
 from ..prepare.point_sets import Layer, PointSet
@@ -122,6 +123,7 @@ def make_plan(view: ViewToPlan) -> Plan:
         captured_light=_captured_light(view),
         matte_light=_matte_light(view),
         indirect=indirect and (term is None or term.gathers),
+        mirrors=indirect and _mirrors(view) and (term is None or (term.light == GLOSSY and not term.color)),
         backdrop=not view.absences.blurred_world and _shows_world(term),
         picture=view.picture,
         shades=view.picture or bool(averaged(passes)),
@@ -300,6 +302,13 @@ def _gathers(view: ViewToPlan) -> bool:
     )
     world = scene.world.image is not None or bool(np.any(scene.world.color > 0))
     return drawn and not view.defocus and (emits or world or (settings.bounces > 0 and bool(scene.lights)))
+
+
+def _mirrors(view: ViewToPlan) -> bool:
+    """Whether something may mirror meshes sharply, by way of a bounce."""
+    scene = view.scene
+    meshes = any(geometry.mesh is not None for geometry in scene.geometries)
+    return meshes and view.request.settings.bounces > 0 and bool(sharp_mirrors(scene.materials).any())
 
 
 def _shadows(shadows: Shadows) -> tuple[str, ...]:

@@ -50,6 +50,7 @@ class Plan:
     matte_light: CapturedLighting = UNLIT  # what light does to mattes, where there are some
     indirect: bool = False  # surfaces receive light from each other, and hide the world
     widest_translucent: float = math.inf  # pixels: no radius of a translucent splat is larger
+    mirrors: bool = False  # sharp ones show them as rays do
     panes: bool = False  # translucent meshes are layers of triangles, over what is opaque
     term: Term | None = None  # the light that is drawn; None: all of it
     defocus: bool = False  # translucent splats are drawn together with what is out of focus: passes/defocus/gather.py

@@ -1,4 +1,5 @@
-"""Builds octrees of point sets where they pay for themselves, at once or on another thread."""
+"""Levels of detail of point sets: octrees where they pay for themselves, at once or on another thread, and merged
+voxels."""
 
 from __future__ import annotations
 
@@ -11,6 +12,8 @@ from ...core.lod.balls.tree import BallTree, build_ball_tree
 from ...core.lod.hierarchy import Hierarchy, recolor, refit
 from ...core.numeric.lattice import lattice_for
 from ...core.scene.materials import MaterialTable
+from ...core.scene.scene import Geometry
+from ...core.volume.detail import merged_where_even, widest_voxel
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from .layers import MANY_INSTANCES, MOST_PRIMITIVES
@@ -28,6 +31,12 @@ MAX_POINTS_WITHOUT_HIERARCHY = 1 << 24  # of all instances: with more, drawing w
 BALL_TREE_COST = 12  # building costs about as much as drawing the balls this many times, 17 sub-samples a pixel
 MIN_BALLS = 1 << 20  # a viewport draws fewer in its frame time
 BALLS_PER_PIXEL = 4  # of the picture: nodes are fewer only where balls are more
+# Of voxels: pixels along the largest block, times a tolerance below 1. What wide splats of a lattice are uneven by, the
+# pixel filter hides up to here.
+WIDEST_BLOCK = 1.5
+MIN_VOXELS = 1 << 14  # fewer are drawn in less time than they are merged
+MOST_INSTANCES = 16  # whose voxels are looked at one by one; of more, all voxels are drawn
+MOST_LEVELS = 10
 
 
 def with_hierarchy_if_it_pays(view: View, points: PointSet, view_from_object: np.ndarray) -> PointSet:
@@ -106,6 +115,25 @@ def points_once_they_have_nodes(view: View, name: Key, make: Callable[[], PointS
     elif view.interactive:
         store.lookup(asked, tuple)
     return None
+
+
+def with_even_blocks(view: View, geometry: Geometry, points: PointSet, view_from_object: np.ndarray) -> PointSet:
+    """Returns the points of a volume as coarse as the instances (I, 4, 4) that a view draws of it allow.
+
+    In an interactive view they are its voxels, which have an octree there.
+    """
+    cloud, cells = geometry.cloud, geometry.cells
+    assert cloud is not None
+    assert cells is not None
+    if view.interactive or len(cloud) < MIN_VOXELS or len(view_from_object) > MOST_INSTANCES:
+        return points
+    edge = widest_voxel(cloud, view_from_object, view.camera)
+    wanted = WIDEST_BLOCK * min(view.settings.tolerance, 1.0)
+    if not 2 * edge <= wanted:
+        return points
+    levels = min(int(np.log2(wanted / edge)), MOST_LEVELS) if edge > 0 else MOST_LEVELS
+    key = Key(Kind.EVEN_BLOCKS, geometry.key, other=levels)
+    return PointSet(key, view.store.lookup(key, lambda: merged_where_even(cloud, cells, levels)), is_lattice=True)
 
 
 def with_hierarchy_for_defocus(view: View, points: PointSet, always: bool) -> PointSet:

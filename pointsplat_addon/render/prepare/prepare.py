@@ -29,7 +29,7 @@ from ...core.strand.selection import select
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from .captured import CapturedNodes, captured_instances, captured_nodes
-from .hierarchies import ball_tree_if_it_pays, with_hierarchy_for_defocus, with_hierarchy_if_it_pays
+from .hierarchies import ball_tree_if_it_pays, with_even_blocks, with_hierarchy_for_defocus, with_hierarchy_if_it_pays
 from .layers import cut_layer, with_ball_nodes, with_page_nodes
 from .meshes.coarse import coarse_mesh
 from .meshes.far import far_nodes
@@ -40,7 +40,6 @@ from .out_of_focus import FocusSorter, OutOfFocusLayer
 from .point_sets import Layer, PointSet, cloud_points, largest_radius, point_counts, set_ball, typical_diameter
 from .separation import is_translucent
 from .view import View
-from .volumes import with_even_blocks
 
 WIDE_BALL = 2.0  # pixels of radius: means of wider balls that overlap would show
 

@@ -125,6 +125,7 @@ def with_repeated(instances: Instances, rows: np.ndarray, geometry: np.ndarray) 
         casts=extended(instances.casts),
         seen=extended(instances.seen),
         scatters=extended(instances.scatters),
+        mirrored=extended(instances.mirrored),
         matte=extended(instances.matte),
         object_hash=extended(instances.object_hash),
         names=(*names, *(names[row] for row in rows)) if names else (),

@@ -338,9 +338,60 @@ def alone(data: Path) -> None:
     aim((0.5, -8.0, 0.4), (0, 0, 1.5), 0.75)
 
 
+def checked(name: str, first: Triple, second: Triple, scale: float) -> Any:
+    """A surface with squares of two colours over its UV map."""
+    made = matte(name, first)
+    tree = made.node_tree
+    checker, uv = tree.nodes.new("ShaderNodeTexChecker"), tree.nodes.new("ShaderNodeUVMap")
+    checker.inputs["Color1"].default_value, checker.inputs["Color2"].default_value = (*first, 1.0), (*second, 1.0)
+    checker.inputs["Scale"].default_value = scale
+    tree.links.new(uv.outputs["UV"], checker.inputs["Vector"])
+    tree.links.new(checker.outputs["Color"], tree.nodes["Principled BSDF"].inputs["Base Color"])
+    return made
+
+
+def mirrors(roughness: float) -> None:
+    """A ball of metal on a polished floor among blocks, under a sky and a sun."""
+    plane(surface("Floor", (0.12, 0.1, 0.09), Roughness=roughness), 30)
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=0.6, location=(0.1, 0.1, 0.6), segments=96, ring_count=48)
+    shown(surface("Chrome", (0.9, 0.9, 0.9), Roughness=roughness, Metallic=1.0)).data.shade_smooth()
+    box(matte("Red", (0.6, 0.06, 0.05)), (-1.7, 0.3, 0.0), (-1.0, 1.0, 1.1), 0.4)
+    box(checked("Checked", (0.8, 0.75, 0.6), (0.05, 0.1, 0.25), 6.0), (1.0, -0.2, 0.0), (1.6, 0.4, 0.6), -0.3)
+    box(matte("Green", (0.1, 0.4, 0.08)), (-1.2, -1.3, 0.0), (-0.8, -0.9, 0.35), 0.2)
+    plane(checked("Wall", (0.7, 0.3, 0.1), (0.7, 0.65, 0.6), 8.0), 3.0, (0.4, 2.4, 1.5), (math.pi / 2, 0, 0))
+    glow = surface("Glow", (0.0, 0.0, 0.0))
+    base = glow.node_tree.nodes["Principled BSDF"]
+    base.inputs["Emission Color"].default_value, base.inputs["Emission Strength"].default_value = (
+        (1.0, 0.6, 0.2, 1),
+        3.0,
+    )
+    box(glow, (0.9, -1.2, 0.0), (1.1, -1.0, 0.5))
+    # Its own mirror image, thousands of times as bright, would decide all errors.
+    lamp("SUN", 2.5, turn=(0.7, 0.3, 0.4), across=0.01).visible_glossy = False
+    sky((0.45, 0.55, 0.75), 0.8)
+    aim((0.2, -4.2, 1.5), (0.05, 0, 0.55), 0.75)
+    bpy.context.scene["glossy_bounces"] = 4
+
+
+def chrome(data: Path) -> None:
+    mirrors(0.0)
+
+
+def polished(data: Path) -> None:
+    mirrors(0.1)
+
+
+def brushed(data: Path) -> None:
+    mirrors(0.2)
+
+
 SCENES: dict[str, Callable[[Path], None]] = {
     scene.__name__: scene
-    for scene in (room, walls, dragon, truck, fur, scan, foliage, street, letters, cloud, smoke, alone)
+    for scene in (
+        *(room, walls, dragon, truck, fur, scan, foliage, street, letters),
+        *(cloud, smoke, alone),
+        *(chrome, polished, brushed),
+    )
 }
 BOUNCES = 3
 
@@ -348,8 +399,9 @@ BOUNCES = 3
 def cycles_like(scene: Any, bounces: int) -> None:
     """What Cycles is to leave out as PointSplat does: caustics, clamps, and further bounces."""
     own = scene.cycles
-    own.max_bounces = own.diffuse_bounces = own.volume_bounces = bounces
-    own.glossy_bounces = min(bounces, 1)
+    glossy = scene.get("glossy_bounces", min(bounces, 1))
+    own.max_bounces, own.glossy_bounces = max(bounces, glossy), glossy
+    own.diffuse_bounces = own.volume_bounces = bounces
     own.transmission_bounces, own.transparent_max_bounces = 0, 32
     own.caustics_reflective = own.caustics_refractive = False
     own.blur_glossy, own.sample_clamp_direct, own.sample_clamp_indirect = 0.0, 0.0, 0.0

@@ -5,6 +5,7 @@
 // Reference and sources: core/light/bsdf.py. Reads ps_lights (rows 0 .. PS_TABLE_ROWS: the reflectance table).
 // PS_HAS_METAL: something is metallic. PS_ONE_SURFACE: nothing is, and roughness and eta are those of the whole scene.
 
+#include "lib/geometry/reflecting_normal.glsl"
 #include "lib/light/terms.glsl"
 
 #if defined(PS_ROUGH_DIFFUSE) || defined(PS_SHEEN) || defined(PS_TOON)
@@ -166,29 +167,6 @@ vec4 ps_reflectance_table(float cosine, float roughness)
   float y = roughness * float(PS_TABLE_ROWS - 1);
   int row = min(int(y), PS_TABLE_ROWS - 2);
   return mix(ps_table_row(row, cosine), ps_table_row(row + 1, cosine), y - float(row));
-}
-
-// The normal, turned towards the surface's plane as far as it must be for the mirrored eye to lie above that: Cycles'
-// ensure_valid_specular_reflection. `plane`: its normal, turned to the eye; (0, 0, 0): the normal's own plane.
-vec3 ps_reflecting_normal(vec3 normal, vec3 plane, vec3 to_eye)
-{
-  float facing = dot(normal, to_eye);
-  if (dot(plane, plane) < 0.5) {
-    return facing < 0.0 ? -normal : normal;
-  }
-  float eye_z = dot(plane, to_eye), least = min(0.9 * eye_z, 0.01);
-  vec3 across = normal - dot(normal, plane) * plane;
-  float size = length(across);
-  if (dot(plane, 2.0 * facing * normal - to_eye) >= least || size < 1e-6) {
-    return normal;
-  }
-  across /= size;
-  // Of the roots of 4 a z^4 - 2 b z^2 + c = 0, z the cosine to the plane's normal, the one that mirrors the eye to the side.
-  float eye_x = dot(across, to_eye);
-  float a = max(eye_x * eye_x + eye_z * eye_z, 1e-12), b = 2.0 * (a + eye_z * least);
-  float c = (least + eye_z) * (least + eye_z), root = sqrt(max(b * b - 4.0 * a * c, 0.0));
-  float z2 = clamp(0.25 * (b + (eye_x < 0.0 ? root : -root)) / a, 0.0, 1.0);
-  return sqrt(1.0 - z2) * across + sqrt(z2) * plane;
 }
 
 #ifdef PS_DIFFUSE_LOBES

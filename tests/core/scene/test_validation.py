@@ -29,7 +29,7 @@ COUNTED = {
     Strands: {"start", "material"},
     MaterialTable: {"cull", "pass_index", "hash", "translucent", "glass"},
     HairTable: {"used"},
-    Instances: {"geometry", "pass_index", "holdout", "matte", "casts", "seen", "scatters", "object_hash"},
+    Instances: {"geometry", "pass_index", "holdout", "matte", "casts", "seen", "scatters", "mirrored", "object_hash"},
     v.Volume: {"index"},
 }
 

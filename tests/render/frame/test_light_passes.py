@@ -22,6 +22,7 @@ COMBINED = frozenset({"combined"})
 EVERY = COMBINED | OF_LIGHT
 SCENES = (
     "mixed", "balls", "emission", "holdout", "environment", "in_a_corner", "among_balls_and_strands", "under_smoke",
+    "among_mirrors",
     "smoke", "tinted_smoke", "panes_of_functions", "tinted_panes", "captured_among", "captured_lit", "captured_matte",
     "captured_trained", "in_fog", "in_smoke", "foliage", "strands", "region", "parallel", "empty",
 )  # fmt: skip

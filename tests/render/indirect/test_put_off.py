@@ -18,7 +18,13 @@ from scripts.scenes import drawing, indirect_cases
 from scripts.scenes.case import Case
 
 CASES = pytest.mark.parametrize(
-    "make", [indirect_cases.in_a_corner, indirect_cases.among_balls_and_strands, indirect_cases.under_smoke]
+    "make",
+    [
+        indirect_cases.in_a_corner,
+        indirect_cases.among_balls_and_strands,
+        indirect_cases.under_smoke,
+        indirect_cases.among_mirrors,
+    ],
 )
 
 

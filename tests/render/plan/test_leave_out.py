@@ -137,6 +137,7 @@ EXPECTED = {
     "indirect light under smoke": "shadows shadow+maps light+tree gather polygons reach order background "
     + GROUPED
     + LAYERS,
+    "indirect light among mirrors": "shadow+maps light+tree gather polygons background " + GROUPED,
     "EWA": EWA + SEEN,
     "EWA, adaptive": "adapt " + EWA + SEEN,
     "EWA among polygons": "polygons " + EWA + SEEN,

@@ -15,7 +15,7 @@ from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.volume import Medium, Volume
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.render.plan.request import Request
-from pointsplat_addon.render.prepare import volumes
+from pointsplat_addon.render.prepare import hierarchies
 from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.prepare.separation import separate_translucent
 from scripts.scenes import build, drawing
@@ -92,8 +92,8 @@ def test_a_ball_lets_through_what_its_chords_say(size, depth, rmse, worst, monke
     which is as soft as their kernel: merging adds to the squared error of dense balls less than a hundredth."""
     request = Request(eye(size), Settings(use_adaptive_sampling=False), frozenset({"combined"}), 16)
     expected, errors = truth(size, depth), []
-    for widest in (volumes.WIDEST_BLOCK, 1e-9):
-        monkeypatch.setattr(volumes, "WIDEST_BLOCK", widest)
+    for widest in (hierarchies.WIDEST_BLOCK, 1e-9):
+        monkeypatch.setattr(hierarchies, "WIDEST_BLOCK", widest)
         errors.append(drawing.opengl().render(scene(depth), request).pixels["combined"][..., 0] - expected)
     merged, voxels = ((error**2).mean() for error in errors)
     assert merged**0.5 < rmse
@@ -122,6 +122,6 @@ def test_every_tile_of_a_picture_has_the_same_voxels():
 
 def test_viewports_and_crowds_have_all_voxels():
     every = len(ball().index)
-    assert count(eye(34), instances=volumes.MOST_INSTANCES + 1) == every
+    assert count(eye(34), instances=hierarchies.MOST_INSTANCES + 1) == every
     assert count(eye(34), instances=2) < every / 2
     assert count(eye(34), interactive=True) == every

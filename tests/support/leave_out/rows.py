@@ -225,6 +225,7 @@ ROWS: dict[str, Row] = {
     "indirect light in a corner": Row(indirect_cases.in_a_corner),
     "indirect light among balls and strands": Row(indirect_cases.among_balls_and_strands),
     "indirect light under smoke": Row(indirect_cases.under_smoke),
+    "indirect light among mirrors": Row(indirect_cases.among_mirrors),
     "EWA": Row(lambda: with_settings(solid_cases.sphere(), technique="EWA")),
     "EWA, adaptive": Row(lambda: with_settings(solid_cases.sphere(), technique="EWA"), samples=16),
     "EWA among polygons": Row(lambda: with_settings(solid_cases.mixed(), technique="EWA")),

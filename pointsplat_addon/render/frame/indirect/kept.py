@@ -8,6 +8,7 @@ from dataclasses import fields
 
 import numpy as np
 
+from ....core.indirect.triangle_tree import triangle_tree
 from ....core.scene.camera import Camera
 from ....core.scene.scene import Scene
 from ...cache.keys import Key, Kind
@@ -20,9 +21,12 @@ from ...indirect.known_sites import Slices
 from ...indirect.light import BakedLight, IndirectLight, world_names
 from ...indirect.media import BakedMedia, scene_media
 from ...indirect.surfels import scene_density, scene_surfels, usable_instances
+from ...indirect.traced import scene_triangles
+from ...passes.indirect.trace import TracedTriangles
 from ...plan.plan import Plan
 from ..uploads.lighting import ArrayIdentity
 from ..uploads.uploads import Uploads
+from .mirrors import TracedScene
 
 FORM = form_of_records(BakedLight, BakedMedia)
 
@@ -85,6 +89,27 @@ def kept_light(
 
     found: IndirectLight = uploads.lookup(key, make)
     return None if found.empty else found
+
+
+def kept_triangles(device: Device, uploads: Uploads, scene: Scene, origin: np.ndarray) -> TracedScene:
+    """Returns the triangles of a scene that rays may meet, in the light tree's space, whose origin (3,) that is."""
+    instances = scene.instances
+    shown = tuple(None if one is None else _digest(one) for one in (instances.mirrored, instances.matte))
+    passes = scene.materials.translucent
+    depends_on = (
+        _digest(instances.geometry, instances.world_from_object, origin), shown,
+        b"" if passes is None else _digest(passes),
+    )  # fmt: skip
+    key = Key(Kind.TRACED_TRIANGLES, tuple(geometry.key for geometry in scene.geometries), other=depends_on)
+
+    def make() -> TracedScene:
+        found = scene_triangles(scene, origin)
+        if found is None:
+            return TracedScene(None, None)
+        triangles, corners = found
+        return TracedScene(triangles, TracedTriangles(device, corners, triangle_tree(corners)))
+
+    return uploads.lookup(key, make)
 
 
 def _values(of: object) -> list[object]:

@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from ....core.indirect.sites import Sites, hashed, quantised_directions, scrambled
+from ...device.packing import paged
 from ...device.protocol import Device, Target, Texture
 from ...indirect.known_sites import Slices
 from ...indirect.light import IndirectLight, coherent_rows
+from ...indirect.traced import is_traced
 from ...passes.gbuffer import GBuffer, Variant
 from ...passes.indirect.group_points import GROUP_POINTS_BLOCK, group_points_program
 from ...passes.indirect.interpolate import INTERPOLATE, INTERPOLATE_BLOCK, TILE
 from ...passes.indirect.pages import RECEIVER_WIDTH, paged_texture, receiver_texture
+from ...passes.indirect.reflect import REFLECT, REFLECT_BLOCK
 from ...passes.uniforms import SampleView
 from ..uploads.uploads import Uploads
 from .known import Known
+from .mirrors import Mirrors, Shown
 from .receivers import Groups, Receivers, choose_receivers, sites_of, sole_groups
 
 SIDES = 4 * TILE, 2 * TILE, TILE  # of squares of pixels that have receivers, one after the other
 FEWEST_IN_TILE = 3  # groups of a surface in a square, from which on it has a receiver there beside that of the largest
 MIRRORS, ROUGHNESSES = 48, 64  # steps of mirrored views, each way of an octahedron, and of roughness
+NOT_KNOWN = (None, None)
 SHARPEST = 24.0  # of a glossy lobe that the cells of a hemisphere resolve
 
 
@@ -35,13 +41,16 @@ class GroupsInIndirectLight:
         uploads: Uploads,
         variant: Variant,
         slices: Slices,
+        mirrors: Mirrors | None = None,
     ) -> None:
-        """`variant`: of the G-buffer of groups. `slices`: in which they gather."""
+        """`variant`: of the G-buffer of groups. `slices`: in which they gather. `mirrors`: what sharp ones show."""
         self._device, self._light, self._variant = device, light, variant
         self._materials = uploads.lighting.materials["ps_materials"]
         self._sky = uploads.lighting.sky
         self._lists: _Lists | None = None
         self._slices = slices
+        self._mirrors = mirrors
+        self._mirrored: Texture | None = None  # what the last list shows, with sharp mirrors
 
     def gather(self, view: SampleView, surfaces: GBuffer, listed: Texture, entries: np.ndarray) -> dict[str, Texture]:
         """Returns what shading reads, by sampler name. Cancelled: gathering was put off.
@@ -49,15 +58,16 @@ class GroupsInIndirectLight:
         `surfaces`: attributes of the groups. `listed`: the list of groups, and `entries` (N, 2): pixel and layer of
         each of them.
         """
-        device = self._device
+        device, mirrors = self._device, self._mirrors
+        self._release_mirrored()
         if self._lists is None or self._lists.size != listed.size:
-            self.release()
-            self._lists = _Lists(device, listed.size)
+            self._release_lists()
+            self._lists = _Lists(device, listed.size, mirrors is not None)
         lists = self._lists
         device.clear(lists.place_target)
         turned = np.eye(4)
         turned[:3, :3] = view.world_from_view[:3, :3]
-        program = group_points_program(self._variant)
+        program = group_points_program(self._variant, mirrors is not None)
         textures = surfaces.bound() | {"ps_list": listed, "ps_materials": self._materials}
         names = {name for _, name in program.samplers}
         device.draw(
@@ -67,21 +77,91 @@ class GroupsInIndirectLight:
             textures={name: texture for name, texture in textures.items() if name in names},
         )
         count = len(entries)
-        place, up = (device.read(lists.textures[name]).reshape(-1, 4)[:count] for name in ("ps_places", "ps_ups"))
+        held = "ps_places", "ps_ups", *(() if mirrors is None else ("rays",))
+        place, up, *rays = (device.read(lists.textures[name]).reshape(-1, 4)[:count] for name in held)
         eye = view.world_from_view[:3, 3] - self._light.origin
+        to_eye = directions_to_eye(view, place[:, :3])
         groups = Groups(eye, place[:, :3] + eye, up[:, :3], place[:, 3], entries[:, 0].astype(np.int64))
+        if mirrors is None or not mirrors.trace(groups, up[:, 3]):
+            self._receive(view, lists, listed, groups, place, up, to_eye)
+            return lists.received
+        gathering, beyond = up, None
+        if not mirrors.others:  # then cells show nothing of sharp mirrors
+            gathering = up.copy()
+            gathering[is_traced(up[:, 3]) == 1, 3] = -1
+        self._receive(view, lists, listed, groups, place, gathering, to_eye)
+        if mirrors.others:
+            beyond = device.read(lists.textures["mirrored"]).reshape(-1, 4)[:count]
+        shown = mirrors.shown(view, groups, up[:, 3], rays[0], beyond, self._lit)
+        self._mirrored = self._reflected(view, lists, listed, groups, shown)
+        return lists.received | {"ps_mirrored_light": self._mirrored}
+
+    def _lit(
+        self,
+        view: SampleView,
+        groups: Groups,
+        roughness: np.ndarray,
+        to_eye: np.ndarray,
+        draw: Callable[[dict[str, Texture]], None],
+    ) -> None:
+        """Calls `draw` with what groups that are seen by way of mirrors receive, as `gather` returns it; see Lit."""
+        count, device = len(groups.depth), self._device
+        place = np.column_stack([groups.position - groups.eye, groups.depth]).astype(np.float32)
+        up = np.column_stack([groups.normal, roughness]).astype(np.float32)
+        entries = np.stack([groups.pixel, np.zeros(count)], axis=1).astype(np.float32)
+        size, data = paged(entries, 2)
+        listed = device.texture(size, "RG32F", data)
+        lists = _Lists(device, size, False, (paged(place, 4)[1], paged(up, 4)[1]))
+        try:
+            self._receive(view, lists, listed, groups, place, up, to_eye)
+            draw(lists.received)
+        finally:
+            listed.release()
+            lists.release()
+
+    def _reflected(self, view: SampleView, lists: _Lists, listed: Texture, groups: Groups, shown: Shown) -> Texture:
+        """Returns what all groups mirror, of which `shown` tells what rays have met."""
+        device, texels = self._device, lists.size[0] * lists.size[1]
+        made: dict[str, Texture] = {}
+        columns, height = lists.size
+        for name, values in (("ps_shown", shown.light), ("ps_ends", shown.ends), ("ps_kinds", shown.kinds[None])):
+            laid = np.zeros((len(values), texels, values.shape[2]), np.float32)
+            laid[:, shown.rows] = values
+            format = "RGBA32F" if values.shape[2] == 4 else "RG32F"
+            made[name] = device.texture((columns, height * len(values)), format, laid.reshape(-1))
+        width, height = view.size
+        of_pixels = np.zeros((width * height, 2), np.float32)
+        of_pixels[groups.pixel[shown.rows]] = np.column_stack([shown.rows, shown.count])
+        made["ps_of_pixels"] = device.texture((width, height), "RG32F", of_pixels.reshape(-1))
+        held = {"ps_places": "ps_places", "ps_rays": "rays", "ps_in_cells": "mirrored"}
+        textures = {"ps_list": listed} | made | {name: lists.textures[own] for name, own in held.items()}
+        out = device.texture(lists.size, "RGBA32F")
+        target = device.target([out])
+        to_eye = (*view.world_from_view[:3, 2], 0.0)
+        device.draw(REFLECT, target, uniforms=view.record(REFLECT_BLOCK, to_eye=to_eye), textures=textures)
+        for item in (target, *made.values()):
+            item.release()
+        return out
+
+    def _receive(
+        self,
+        view: SampleView,
+        lists: _Lists,
+        listed: Texture,
+        groups: Groups,
+        place: np.ndarray,
+        up: np.ndarray,
+        to_eye: np.ndarray,
+    ) -> None:
+        """Gathers for groups at places with normals (N, 4), as `gather` has them, seen from directions (N, 3)."""
         chosen = choose_receivers(groups, view, TILE, FEWEST_IN_TILE, True)
-        found = self._found(view, groups, place, up, chosen)
+        found = self._found(view, groups, to_eye, up, chosen)
         self._interpolate(view, lists, listed, chosen, found, place, up)
-        return {"ps_gathered_light": lists.textures["gathered"], "ps_mirrored_light": lists.textures["mirrored"]}
 
     def _found(
-        self, view: SampleView, groups: Groups, place: np.ndarray, up: np.ndarray, chosen: Receivers
+        self, view: SampleView, groups: Groups, to_eye: np.ndarray, up: np.ndarray, chosen: Receivers
     ) -> np.ndarray:
         """(R, 8): what receivers have gathered, or interpolated from others that are farther apart and see alike."""
-        to_eye = -place[:, :3] / np.maximum(np.linalg.norm(place[:, :3], axis=1, keepdims=True), 1e-30)
-        if not view.camera.perspective:
-            to_eye = np.broadcast_to(view.world_from_view[:3, 2].astype(np.float32), to_eye.shape)
         sole = sole_groups(groups, view)
         known = Known(groups.position.astype(np.float32), groups.normal)
         for side in SIDES:
@@ -157,10 +237,26 @@ class GroupsInIndirectLight:
         for item in (diffuse, glossy, receivers, where, tiles):
             item.release()
 
-    def release(self) -> None:
+    def _release_mirrored(self) -> None:
+        if self._mirrored is not None:
+            self._mirrored.release()
+        self._mirrored = None
+
+    def _release_lists(self) -> None:
+        self._release_mirrored()
         if self._lists is not None:
             self._lists.release()
         self._lists = None
+
+    def release(self) -> None:
+        self._release_lists()
+
+
+def directions_to_eye(view: SampleView, place: np.ndarray) -> np.ndarray:
+    """(N, 3) float32, unit, of places from the eye (N, 3)."""
+    if not view.camera.perspective:
+        return np.broadcast_to(view.world_from_view[:3, 2].astype(np.float32), place.shape)
+    return -place / np.maximum(np.linalg.norm(place, axis=1, keepdims=True), 1e-30)
 
 
 def lobe_sharpness(roughness: np.ndarray) -> np.ndarray:
@@ -173,14 +269,30 @@ def lobe_sharpness(roughness: np.ndarray) -> np.ndarray:
 class _Lists:
     """One texel a group."""
 
-    def __init__(self, device: Device, size: tuple[int, int]) -> None:
+    def __init__(
+        self,
+        device: Device,
+        size: tuple[int, int],
+        mirrors: bool,
+        known: tuple[np.ndarray | None, np.ndarray | None] = NOT_KNOWN,
+    ) -> None:
+        """`mirrors`: with where each mirrors the eye to. `known`: what is in the first two, flat; None: a pass writes
+        it."""
         self.size = size
-        self.textures = {
-            name: device.texture(size, "RGBA32F") for name in ("ps_places", "ps_ups", "gathered", "mirrored")
-        }
-        self.place_target: Target = device.target([self.textures[name] for name in ("ps_places", "ps_ups")])
-        self.light_target: Target = device.target([self.textures[name] for name in ("gathered", "mirrored")])
+        places, ups = (device.texture(size, "RGBA32F", data) for data in known)
+        gathered, mirrored = (device.texture(size, "RGBA32F") for _ in range(2))
+        self.textures = {"ps_places": places, "ps_ups": ups, "gathered": gathered, "mirrored": mirrored}
+        if mirrors:
+            self.textures["rays"] = device.texture(size, "RGBA32F")
+        rays = [self.textures["rays"]] if mirrors else []
+        self.place_target: Target = device.target([places, ups, *rays])
+        self.light_target: Target = device.target([gathered, mirrored])
         self._owned: list[Any] = [self.place_target, self.light_target, *self.textures.values()]
+
+    @property
+    def received(self) -> dict[str, Texture]:
+        """What shading reads, by sampler name."""
+        return {"ps_gathered_light": self.textures["gathered"], "ps_mirrored_light": self.textures["mirrored"]}
 
     def release(self) -> None:
         for item in self._owned:

@@ -32,8 +32,9 @@ FOCUS_OUTPUT = (
     "out_focus",
 )  # the share of a texel that is in focus, in the second channel; in the first, times its depth
 WORLD_FIELDS: Fields = (("mat4", "world_from_view"),)
-# The sub-samples of groups, at which shadows are looked up in maps.
+HIT_SAMPLERS = (("FLOAT_2D", "ps_hit_places"), ("FLOAT_2D", "ps_hit_rays"))
 INDIRECT_SAMPLERS = (("FLOAT_2D", "ps_gathered_light"), ("FLOAT_2D", "ps_mirrored_light"))
+# The sub-samples of groups, at which shadows are looked up in maps.
 FOOTPRINT_SAMPLERS = tuple(("UINT_2D", name) for name in ("ps_depths", "ps_keys", "ps_first", "ps_second"))
 
 
@@ -75,13 +76,15 @@ def shade_program(
     lattice: Lattice | None = None,
     indirect: bool = False,
     mattes: bool = False,
+    hits: bool = False,
 ) -> Interface:
     """Returns the program that shades. `lighting`, `materials`: the PS_ names of what shines and of what surfaces do
     with it. Wide lights are sampled at as many points as the `samples` of a picture leave over from LIGHT_POINTS.
     `coverage`: edges are soft. `lines`: there are strands. `focus`: only what is in focus, with its depth. `combined`:
     the picture, not only passes beside it. `coarse`: nodes are so wide that they would lie in the shadow of what they
     stand for. `lattice`: surfels are groups of sub-samples of this one. `indirect`: textures tell what they
-    receive from the world and from each other. `mattes`: some groups are, which `matte_program` shades."""
+    receive from the world and from each other. `mattes`: some groups are, which `matte_program` shades.
+    `hits`: surfels are what rays have met."""
     grouped = lattice is not None
     by_members = {"PS_SHADOW_MAPS", "PS_SHADOW_PANES", "PS_SHADOW_FACES"}
     footprint = lattice if combined and by_members & set(lighting) else None
@@ -89,9 +92,10 @@ def shade_program(
     read += (("FLOAT_2D", "ps_list"),) if grouped else ()
     read += FOOTPRINT_SAMPLERS if footprint else ()
     read += INDIRECT_SAMPLERS if indirect else ()
+    read += HIT_SAMPLERS if hits else ()
     flags = {"PS_COVERAGE": coverage, "PS_STRANDS": lines and variant.normal, "PS_FOCUS": focus,
              "PS_AUXILIARY_ONLY": not combined, "PS_GROUPED": grouped, "PS_FOOTPRINT": footprint is not None,
-             "PS_INDIRECT": indirect, "PS_MATTES": mattes,
+             "PS_INDIRECT": indirect, "PS_MATTES": mattes, "PS_HITS": hits,
              "PS_COARSE": coarse and any("SHADOW" in name for name in lighting)}  # fmt: skip
     names = (*variant.defines, *materials, *averaged_defines(passes), *(name for name, on in flags.items() if on))
     # A sample of groups is a whole picture: it looks at all points, but only where the first ones disagree.
