@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 
+from scripts.scenes import indirect_cases
 from scripts.scenes.awkward_cases import far_away, inside, not_finite, scales
 from scripts.scenes.captured_cases import (
     captured_alone,
@@ -16,7 +17,6 @@ from scripts.scenes.captured_cases import (
 )
 from scripts.scenes.case import Case
 from scripts.scenes.detailed_cases import foliage, many_towers, split_mesh, strands
-from scripts.scenes.indirect_cases import among_balls_and_strands, among_mirrors, in_a_corner, under_smoke
 from scripts.scenes.lit_cases import emission, environment, lights, reflections
 from scripts.scenes.solid_cases import (
     balls,
@@ -67,10 +67,7 @@ CASES: dict[str, Callable[[], Case]] = {
         environment,
         lights,
         reflections,
-        in_a_corner,
-        among_balls_and_strands,
-        among_mirrors,
-        under_smoke,
+        *indirect_cases.EVERY,
         inside,
         far_away,
         scales,

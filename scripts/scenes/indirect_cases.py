@@ -81,3 +81,6 @@ def under_smoke() -> Case:
     )
     lit = scene(*things, lights=[sun(2.0)], world=World(np.array([0.3, 0.4, 0.6])), table=table)
     return Case(lit, camera((0.4, -3.0, 0.6)), replace(SETTINGS, shadow_resolution=64))
+
+
+EVERY = in_a_corner, among_balls_and_strands, under_smoke, among_mirrors

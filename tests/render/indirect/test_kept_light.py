@@ -15,15 +15,7 @@ from scripts.scenes.cameras import camera
 from scripts.scenes.case import Case
 
 COMBINED = frozenset({"combined"})
-CASES = pytest.mark.parametrize(
-    "make",
-    [
-        indirect_cases.in_a_corner,
-        indirect_cases.among_balls_and_strands,
-        indirect_cases.under_smoke,
-        indirect_cases.among_mirrors,
-    ],
-)
+CASES = pytest.mark.parametrize("make", indirect_cases.EVERY)
 
 
 def renderer(store: Store | None = None) -> Renderer:

@@ -17,15 +17,7 @@ from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import drawing, indirect_cases
 from scripts.scenes.case import Case
 
-CASES = pytest.mark.parametrize(
-    "make",
-    [
-        indirect_cases.in_a_corner,
-        indirect_cases.among_balls_and_strands,
-        indirect_cases.under_smoke,
-        indirect_cases.among_mirrors,
-    ],
-)
+CASES = pytest.mark.parametrize("make", indirect_cases.EVERY)
 
 
 def view_of(case: Case) -> Request:
