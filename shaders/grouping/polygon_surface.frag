@@ -456,7 +456,7 @@ void main()
 #endif
 #endif
   s.normal.xyz = shown.normal;
-  s.shape.z = ps_bulge(slot, own, weights, leader.position, shown.turned);
+  s.shape.z = ps_bulge(slot, own, weights, leader.position, shown.turned) / ps_pixel_size(s.centre.x);
   ps_seen_from(s, shown.plane, shown.turned);
 #if defined(PS_FILTERED_BENDS)
   ps_shade_by_bends(s, leader, slot, spanned * u.footprint > 1.0);

@@ -48,6 +48,6 @@ void main()
   vec3 plane = bends ? ps_unpack_normal(centre.z - 1.0) : vec3(0.0);
   vec3 reflecting = ps_reflecting_normal(normal, plane, to_eye);
   vec3 ray = 2.0 * dot(reflecting, to_eye) * reflecting - to_eye;
-  out_ray = vec4(mat3(u.tree_from_view) * ray, bends ? shape.z : 0.0);
+  out_ray = vec4(mat3(u.tree_from_view) * ray, bends ? shape.z * ps_pixel_size(centre.x) : 0.0);
 #endif
 }

@@ -91,7 +91,7 @@ void main()
   vec3 plane = bends ? ps_unpack_normal(centre.z - 1.0) : vec3(0.0);
 #ifdef PS_FOOTPRINT
   ps_footprint.plane = plane;
-  ps_footprint.bulge = bends ? shape.z * normal : vec3(0.0);
+  ps_footprint.bulge = bends ? shape.z * ps_pixel_size(centre.x) * normal : vec3(0.0);
 #endif
 #else
   vec3 normal = vec3(0.0, 0.0, 1.0), plane = vec3(0.0);

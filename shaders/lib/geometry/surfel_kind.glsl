@@ -5,7 +5,8 @@
 // the spread of a group's normals (lib/visibility/normal_spread.glsl), which is never less.
 #define PS_STRAND -1.0
 // And centre.z is 0 where its normal is that of its plane, on either side; else 1 + the packed normal of the plane, on the side
-// that is seen, as the normal is; of groups of sub-samples shape.z is how far what it stands for bulges above it, view units.
+// that is seen, as the normal is; of groups of sub-samples shape.z is how far what it stands for bulges above it, in pixels: half
+// floats hold these in worlds of any size.
 // Of groups of sub-samples it is PS_BALL for balls, whose sub-samples have normals of their own, and less for nodes of balls.
 #define PS_BALL -1.0
 // Of strands it is 0 or less, but more than PS_BALL: their number, of so many, over that.

@@ -22,7 +22,7 @@ from scripts.scenes import drawing
 from scripts.scenes.build import materials, moved, points, scene
 from scripts.scenes.clouds import smoke_cloud
 from scripts.scenes.indirect_cases import under_smoke
-from tests.render.indirect.test_gather import ball, surfels_of
+from tests.support.surfels import ball, surfels_of
 
 SKY = ("PS_HAS_WORLD",)
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(400)
