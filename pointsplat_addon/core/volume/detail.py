@@ -20,6 +20,7 @@ from .normals import normalise
 
 CONTRAST = 0.01  # optical depth, or radiance, across a voxel by which those of a block may differ
 MOST_DEPTH = 0.15  # across a block: light may not end within it
+NEAREST_LAMP = 4.0  # edges of a block that a lamp is away at least: within it, light changes by a few per cent
 CHILDREN = 8
 
 
@@ -60,12 +61,13 @@ def widened(level: int) -> float:
     return float(np.sqrt(1 + (4.0**level - 1) / (12 * EVEN_SPACING**2)))
 
 
-def merged_where_even(cloud: PointCloud, cells: np.ndarray, levels: int) -> PointCloud:
+def merged_where_even(cloud: PointCloud, cells: np.ndarray, levels: int, lamps: np.ndarray) -> PointCloud:
     """Returns a volume's points with those of even blocks, up to 2^levels voxels to a side, merged into one each.
 
-    cloud: as of `volume_splats`, with N > 0 points of equal half-axes. cells: (N, 3) int of the lattice. Blocks lie on
-    the lattice wherever voxels are, and do not swim in animations. In a block, optical depths along a voxel's edge, of
-    what scatters too, and radiances differ by at most CONTRAST; all of it has a depth of at most MOST_DEPTH.
+    cloud: as of `volume_splats`, with N > 0 points of equal half-axes. cells: (N, 3) int of the lattice. lamps: (L, 4)
+    places in object space and radii. Blocks lie on the lattice wherever voxels are, and do not swim in animations. In a
+    block, optical depths along a voxel's edge, of what scatters too, and radiances differ by at most CONTRAST; all of
+    it has a depth of at most MOST_DEPTH, and it is no wider than a NEAREST_LAMP-th of its distance to a lamp.
     """
     edge, found = voxel_edge(cloud), []
     whole = np.ones(len(cloud), bool)
@@ -73,6 +75,9 @@ def merged_where_even(cloud: PointCloud, cells: np.ndarray, levels: int) -> Poin
         order, first = group_equal_rows(cells >> 1)
         cells = (cells >> 1)[order[first]]
         even = _even(cloud, order, first, whole, edge)
+        for lamp in lamps - [*cloud.origin, 0]:
+            away = np.linalg.norm(cloud.position[order[first]] - lamp[:3], axis=1) - lamp[3]
+            even &= away > NEAREST_LAMP * 2 * edge
         if not even.any():
             break
         inside = np.diff(np.append(first, len(order)))

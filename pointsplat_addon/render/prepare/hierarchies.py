@@ -11,9 +11,11 @@ import numpy as np
 from ...core.lod.balls.tree import BallTree, build_ball_tree
 from ...core.lod.hierarchy import Hierarchy, recolor, refit
 from ...core.numeric.lattice import lattice_for
+from ...core.numeric.vectors import column_ranges
+from ...core.scene.cloud import PointCloud
 from ...core.scene.materials import MaterialTable
 from ...core.scene.scene import Geometry
-from ...core.volume.detail import merged_where_even, widest_voxel
+from ...core.volume.detail import NEAREST_LAMP, merged_where_even, voxel_edge, widest_voxel
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from .layers import MANY_INSTANCES, MOST_PRIMITIVES
@@ -132,8 +134,32 @@ def with_even_blocks(view: View, geometry: Geometry, points: PointSet, view_from
     if not 2 * edge <= wanted:
         return points
     levels = min(int(np.log2(wanted / edge)), MOST_LEVELS) if edge > 0 else MOST_LEVELS
-    key = Key(Kind.EVEN_BLOCKS, geometry.key, other=levels)
-    return PointSet(key, view.store.lookup(key, lambda: merged_where_even(cloud, cells, levels)), is_lattice=True)
+    lamps = _lamps_beside(view, cloud, view_from_object, 2**levels * voxel_edge(cloud))
+    key = Key(Kind.EVEN_BLOCKS, geometry.key, other=(levels, lamps.tobytes()))
+    merged = view.store.lookup(key, lambda: merged_where_even(cloud, cells, levels, lamps))
+    return PointSet(key, merged, is_lattice=True)
+
+
+def _lamps_beside(view: View, cloud: PointCloud, view_from_object: np.ndarray, block: float) -> np.ndarray:
+    """Returns the lamps that are so near to some points of instances (I, 4, 4) that these are not merged into blocks
+    with edges of `block`, (L, 4) float64: places in object space and radii, in steps that do not change with the
+    camera."""
+    lamps = [light for light in view.scene.lights if light.kind != "SUN"]
+    if not lamps:
+        return np.zeros((0, 4))
+    place = np.array([[*light.position, 1.0] for light in lamps]) @ view.camera.view_from_world.T
+    sides = [[light.axis_u, light.axis_v] for light in lamps]
+    radius = np.array([light.radius + sum(np.linalg.norm(a) for a in axes if a is not None)
+                       for light, axes in zip(lamps, sides, strict=True)])  # fmt: skip
+    low, high = (corner + cloud.origin for corner in column_ranges(cloud.position))
+    found = [np.zeros((0, 4))]
+    for matrix in view_from_object:
+        own = (place @ np.linalg.inv(matrix).T)[:, :3]
+        reach = radius / max(np.cbrt(abs(np.linalg.det(matrix[:3, :3]))), 1e-30)
+        away = np.linalg.norm(np.maximum(np.maximum(low - own, own - high), 0), axis=1) - reach
+        found.append(np.column_stack([own, reach])[away <= NEAREST_LAMP * block])
+    step = block / 64
+    return np.round(np.concatenate(found) / step) * step
 
 
 def with_hierarchy_for_defocus(view: View, points: PointSet, always: bool) -> PointSet:

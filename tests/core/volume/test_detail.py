@@ -15,7 +15,10 @@ from pointsplat_addon.core.volume.detail import CONTRAST, MOST_DEPTH, voxel_edge
 
 # Attributes that may be absent are not in these tests.
 volume_splats: Any = voxels.volume_splats
-merged_where_even: Any = detail.merged_where_even
+
+
+def merged_where_even(cloud, cells, levels, lamps=()) -> Any:
+    return detail.merged_where_even(cloud, cells, levels, np.reshape(np.asarray(lamps, float), (-1, 4)))
 
 
 def block(shape, density: Any = 1.0, matrix=None, low=(0, 0, 0), **grids):
@@ -119,3 +122,14 @@ def test_edges_of_voxels():
     cloud, _, _ = volume_splats(block((2, 2, 2), matrix=np.diag([0.5, 1.0, 2.0, 1.0])))
     assert voxel_edge(cloud) == pytest.approx(1.0)
     assert voxel_edge(replace(cloud, radii=2 * cloud.radii)) == pytest.approx(2.0)
+
+
+def test_blocks_beside_a_lamp_stay_as_they_are():
+    """Of 2^3 voxels with edges of 1 those within four times 2 of the lamp, and its radius."""
+    cloud, cells, _ = volume_splats(block((40, 2, 2), 1e-3))
+    for radius in (0.0, 3.0):
+        merged = merged_where_even(cloud, cells, 1, [[0.0, 0.5, 0.5, radius]])
+        fine = merged.radii[:, 0] < 1.2 * cloud.radii[0, 0]
+        place = merged.position[:, 0] + merged.origin[0]
+        assert place[fine].max() < detail.NEAREST_LAMP * 2 + radius + 1.5 < place[~fine].min() + 1.5
+        assert 0 < fine.sum() < len(cloud)
