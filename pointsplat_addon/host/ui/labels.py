@@ -179,8 +179,8 @@ LABELS: dict[str, tuple[str, str]] = {
     ),
     "use_indirect": (
         "Indirect Light",
-        "Objects, smoke and clouds hide the world from each other, and send each other light, as far as it is diffuse. "
-        "Drawn by the Visibility Buffer; it comes into viewports once the view stands still",
+        "Objects, smoke and clouds hide the world from each other and send each other light; sharp mirrors show the "
+        "meshes around them. Drawn by the Visibility Buffer; viewports have it once the view stands still",
     ),
     "bounces": (
         "Bounces",

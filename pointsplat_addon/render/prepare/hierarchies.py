@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...core.light.light_shapes import area_axes
 from ...core.lod.balls.tree import BallTree, build_ball_tree
 from ...core.lod.hierarchy import Hierarchy, recolor, refit
 from ...core.numeric.lattice import lattice_for
@@ -131,7 +132,8 @@ def with_even_blocks(view: View, geometry: Geometry, points: PointSet, view_from
         return points
     edge = widest_voxel(cloud, view_from_object, view.camera)
     wanted = WIDEST_BLOCK * min(view.settings.tolerance, 1.0)
-    if not 2 * edge <= wanted:
+    # What has no extent along an axis has no space of its own, in which lamps lie.
+    if not 2 * edge <= wanted or (np.linalg.matrix_rank(view_from_object[:, :3, :3]) < 3).any():
         return points
     levels = min(int(np.log2(wanted / edge)), MOST_LEVELS) if edge > 0 else MOST_LEVELS
     lamps = _lamps_beside(view, cloud, view_from_object, 2**levels * voxel_edge(cloud))
@@ -148,9 +150,9 @@ def _lamps_beside(view: View, cloud: PointCloud, view_from_object: np.ndarray, b
     if not lamps:
         return np.zeros((0, 4))
     place = np.array([[*light.position, 1.0] for light in lamps]) @ view.camera.view_from_world.T
-    sides = [[light.axis_u, light.axis_v] for light in lamps]
-    radius = np.array([light.radius + sum(np.linalg.norm(a) for a in axes if a is not None)
-                       for light, axes in zip(lamps, sides, strict=True)])  # fmt: skip
+    radius = np.array([
+        np.linalg.norm(area_axes(light), axis=1).sum() if light.kind == "AREA" else light.radius for light in lamps
+    ])  # fmt: skip
     low, high = (corner + cloud.origin for corner in column_ranges(cloud.position))
     found = [np.zeros((0, 4))]
     for matrix in view_from_object:

@@ -150,7 +150,8 @@ def _widest_translucent(view: View, behind: Layer, view_from_object: np.ndarray)
     """Returns an upper bound of the radius of translucent splats, in pixels."""
     if not behind.point_sets:
         return 0.0
-    return largest_radius(behind.point_sets, behind.set_of_instance, view_from_object, view.camera, view.store)
+    points = largest_radius(behind.point_sets, behind.set_of_instance, view_from_object, view.camera, view.store)
+    return max(points, view.settings.tolerance if behind.cut.nodes else 0.0)
 
 
 def with_coarse_meshes(scene: Scene, prepared: Prepared) -> Scene:

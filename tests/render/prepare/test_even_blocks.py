@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise, product
@@ -10,10 +11,12 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.numeric.pixel_filter import blackman_harris
+from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.volume import Medium, Volume
 from pointsplat_addon.core.scene.world import World
+from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.prepare import hierarchies
 from pointsplat_addon.render.prepare.prepare import prepare
@@ -112,6 +115,30 @@ def test_voxels_are_merged_as_far_as_they_are_small():
     near, far = (camera((0, -away, 0), resolution=(40, 40), field_of_view=3.2) for away in (0.5, 84.0))
     assert count(near) == every
     assert count(far) == counts[1]
+
+
+def test_a_flat_ball_beside_a_lamp_is_drawn():
+    """An object without an extent along an axis has no space of its own in which a lamp could lie."""
+    thing, lamp = scene(0.5).geometries[0], Light("POINT", np.ones(3), np.zeros(3), np.array([0, 0, -1.0]), radius=0.1)
+    made = build.scene((thing, np.diag([1.0, 1.0, 0.0, 1.0])), lights=(lamp,), world=SKY)
+    request = Request(eye(34), Settings(), frozenset({"combined"}), 4)
+    assert np.isfinite(drawing.opengl().render(made, request).pixels["combined"]).all()
+
+
+def test_nodes_count_among_the_widest_splats():
+    """In a viewport an octree's nodes are as wide as the tolerance, wherever its voxels are smaller."""
+    store, settings = Store(), Settings(technique="VISIBILITY", tolerance=6.0)
+
+    def drawn():
+        separate, _ = separate_translucent(scene(0.5), store)
+        return prepare(separate, eye(20), settings, 16, store, interactive=True)
+
+    drawn()
+    while store.building:
+        time.sleep(0.01)
+    prepared = drawn()
+    assert prepared.translucent.cut.nodes > 0
+    assert prepared.widest_translucent >= 6.0
 
 
 def test_every_tile_of_a_picture_has_the_same_voxels():

@@ -22,7 +22,7 @@ from ...passes.uniforms import SampleView
 from ..uploads.uploads import Uploads
 from .known import Known
 from .mirrors import Mirrors, Shown
-from .receivers import Groups, Receivers, choose_receivers, sites_of, sole_groups
+from .receivers import Groups, Receivers, choose_receivers, directions_to_eye, sites_of, sole_groups
 
 SIDES = 4 * TILE, 2 * TILE, TILE  # of squares of pixels that have receivers, one after the other
 FEWEST_IN_TILE = 3  # groups of a surface in a square, from which on it has a receiver there beside that of the largest
@@ -250,13 +250,6 @@ class GroupsInIndirectLight:
 
     def release(self) -> None:
         self._release_lists()
-
-
-def directions_to_eye(view: SampleView, place: np.ndarray) -> np.ndarray:
-    """(N, 3) float32, unit, of places from the eye (N, 3)."""
-    if not view.camera.perspective:
-        return np.broadcast_to(view.world_from_view[:3, 2].astype(np.float32), place.shape)
-    return -place / np.maximum(np.linalg.norm(place, axis=1, keepdims=True), 1e-30)
 
 
 def lobe_sharpness(roughness: np.ndarray) -> np.ndarray:

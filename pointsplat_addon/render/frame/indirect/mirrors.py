@@ -20,7 +20,7 @@ from ...indirect.traced import Hits, SceneTriangles, is_traced
 from ...passes.indirect.trace import TracedTriangles
 from ...passes.uniforms import SampleView
 from .hits import HitShading, Lit, Mirrored
-from .receivers import Groups
+from .receivers import Groups, directions_to_eye
 
 LIFT = 1e-4  # of the distance from the eye: rays begin so far above what mirrors
 ALIKE = 0.8  # cosine between normals of pixels that may show one surface
@@ -110,7 +110,7 @@ class Mirrors:
         rows = np.flatnonzero((share > 0) & (groups.depth != 0))
         traced = self._traced()
         position = groups.position[rows] - groups.eye
-        to_eye = _to_eye(view, position)
+        to_eye = directions_to_eye(view, position)
         normal = unit_rows(to_eye + ray[rows, :3])
         depth = groups.depth[rows].astype(np.float64)
         alpha = np.maximum(roughness[rows].astype(np.float64), 0) ** 2
@@ -275,13 +275,6 @@ def _turn(view: SampleView, of: Reflecting, ends: np.ndarray) -> np.ndarray:
     return turn + 0.5 * (1 + near) / view.camera.pixel_from_view()[0]
 
 
-def _to_eye(view: SampleView, position: np.ndarray) -> np.ndarray:
-    """(N, 3) unit, of places from the eye (N, 3)."""
-    if view.camera.perspective:
-        return -unit_rows(position)
-    return np.broadcast_to(view.world_from_view[:3, 2], position.shape)
-
-
 def _moved(view: SampleView, of: Reflecting, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Places from the eye, directions to it, and normals, (N, 3) each, `offset` (N, 2) pixels beside groups."""
     if not offset.any():
@@ -297,7 +290,7 @@ def _moved(view: SampleView, of: Reflecting, offset: np.ndarray) -> tuple[np.nda
         farther = np.where(np.abs(slope) > 1e-3 * np.linalg.norm(along, axis=1), off / slope, 0)
     place = ahead + farther[:, None] * along
     normal = unit_rows(of.normal + np.einsum("na,nac->nc", offset, of.bends))
-    return place, _to_eye(view, place), normal
+    return place, directions_to_eye(view, place), normal
 
 
 def bends(view: SampleView, groups: Groups) -> np.ndarray:

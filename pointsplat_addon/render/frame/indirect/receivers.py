@@ -76,6 +76,13 @@ def sole_groups(groups: Groups, view: SampleView) -> np.ndarray:
     return found
 
 
+def directions_to_eye(view: SampleView, place: np.ndarray) -> np.ndarray:
+    """(N, 3), unit, of places from the eye (N, 3)."""
+    if not view.camera.perspective:
+        return np.broadcast_to(view.world_from_view[:3, 2].astype(place.dtype), place.shape)
+    return -place / np.maximum(np.linalg.norm(place, axis=1, keepdims=True), 1e-30)
+
+
 def choose_receivers(groups: Groups, view: SampleView, side: int, fewest: int, every: bool) -> Receivers:
     """Chooses receivers among groups.
 
