@@ -1,8 +1,9 @@
 // What panes change in each cell: their light, less what they hide of what is opaque. ps_numbers, PS_PLACES: as in
-// layer.frag. PS_BEHIND: what open sub-samples show.
+// layer.frag. PS_BEHIND: what open sub-samples show. Among translucent splats, what these send and hide, too.
 
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/groups.glsl"
+#include "lib/translucent/before.glsl"
 
 void main()
 {
@@ -10,7 +11,12 @@ void main()
   out_change = vec4(0.0);
   vec3 hidden = texelFetch(ps_hidden, cell, 0).rgb;
   bool inside = all(greaterThanEqual(pixel, ivec2(0))) && all(lessThan(pixel, u.size));
-  if (inside && hidden != vec3(0.0)) {
+#ifdef PS_AMONG_SPLATS
+  bool wanted = inside;
+#else
+  bool wanted = inside && hidden != vec3(0.0);
+#endif
+  if (wanted) {
     uvec2 codes = uvec2(texelFetch(ps_first, pixel, 0).x, texelFetch(ps_second, pixel, 0).x);
     ivec2 beside = cell - ps_central_cell(pixel) + textureSize(ps_numbers, 0) / 2;
     uint group = ps_group(codes, int(texelFetch(ps_numbers, beside, 0).x));
@@ -20,8 +26,14 @@ void main()
 #ifdef PS_BEHIND
     shown = open ? texelFetch(ps_behind, pixel, 0) : shown;
 #endif
+    vec3 light = texelFetch(ps_light, cell, 0).rgb;
+#ifdef PS_AMONG_SPLATS
+    PsBefore before = ps_before(cell, pixel, open ? ivec2(0) : ps_group_texel(entry), open);
+    light += (1.0 - hidden) * before.light;
+    hidden += (1.0 - hidden) * before.hidden;
+#endif
     // Alpha is that of the mean of the channels, as in Cycles.
     float covered = (1.0 - shown.w) * dot(hidden, vec3(1.0 / 3.0));
-    out_change = vec4(texelFetch(ps_light, cell, 0).rgb - hidden * shown.rgb, covered);
+    out_change = vec4(light - hidden * shown.rgb, covered);
   }
 }

@@ -1,9 +1,12 @@
 // A layer of panes behind those before it, one texel a cell: render/passes/translucent/pane_layers.py. Texels of ps_numbers: of
 // sub-samples by their cells from the pixel's central one, which is in the middle; of ps_through: what passes each group, and
 // its alpha; PS_TRANSMITTED, where the light is what glass lets through: whether it is glass. PS_PLACES: groups are not listed in the order of their pixels.
+// The light L(d) of translucent splats up to a depth d counts by what the panes behind d hide: in the end, each part of it has passed
+// the panes before it alone.
 
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/groups.glsl"
+#include "lib/translucent/before.glsl"
 
 #define PS_OPEN_CELL 0xFFFFFFFFu
 #define PS_CLOSED 0.0009765625  // of the light behind that passes: less is not measurable
@@ -23,13 +26,20 @@ void main()
     if (group != PS_NO_GROUP) {
       ivec2 entry = ps_group_texel(int(texelFetch(ps_starts, pixel, 0).x) + int(group));
       vec4 through = texelFetch(ps_through, entry, 0);
-      vec3 left = 1.0 - out_hidden.rgb;
+      vec3 left = 1.0 - out_hidden.rgb, seen = left;
+#ifdef PS_AMONG_SPLATS
+      PsBefore before = ps_before(cell, pixel, entry, false);
+      seen *= 1.0 - before.hidden;
+#endif
 #ifdef PS_TRANSMITTED
-      out_light.rgb += left * through.w * through.rgb;
+      out_light.rgb += seen * through.w * through.rgb;
       left *= (1.0 - through.w) * through.rgb;
 #else
-      out_light.rgb += left * through.w * texelFetch(ps_combined, entry, 0).rgb;
+      out_light.rgb += seen * through.w * texelFetch(ps_combined, entry, 0).rgb;
       left *= through.rgb;
+#endif
+#ifdef PS_AMONG_SPLATS
+      out_light.rgb += (1.0 - out_hidden.rgb - left) * before.light;
 #endif
       out_hidden.rgb = 1.0 - left;
       out_following = max(left.r, max(left.g, left.b)) < PS_CLOSED ? 0u : ~(depth + 1u);

@@ -174,7 +174,7 @@ class Frame:
 
     def _allocate_visibility(self, targets: VisibilityTargets) -> None:
         device, plan, run, over = self.device, self.frame_plan.plan, self.clock.run, None
-        if self.lit is not None:
+        if self.lit is not None and not plan.panes:
             over = self._own(TranslucentLayers(device, plan, self.lit.lit, targets, self.targets.combined_target, run))
         passes = self.frame_plan.request.passes
         indirect = None
@@ -184,9 +184,8 @@ class Frame:
             indirect = GroupsInIndirectLight(device, light, self.uploads, plan.variant, self.slices, mirrors)
         part, panes = self.frame_plan.request.part if self._in_parts else (0, 1), None
         if plan.panes:
-            panes = self._own(
-                Panes(device, plan, self.uploads, targets, self.shading, self.targets.combined_target, run, indirect)
-            )
+            lit, sums = None if self.lit is None else self.lit.lit, self.targets.combined_target
+            panes = self._own(Panes(device, plan, self.uploads, targets, self.shading, sums, run, indirect, lit))
         self.visibility = self._own(
             Visibility(
                 device,

@@ -13,7 +13,10 @@ from ....core.scene.scene import Scene
 from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ...passes.gbuffer import GBuffer
 from ...passes.grouping.groups import Groups, Leaders
+from ...passes.translucent.before_panes import NOTHING
+from ...passes.translucent.blend import COARSE
 from ...passes.translucent.cells import number_texels
+from ...passes.translucent.lit_splats import LitSplats
 from ...passes.translucent.pane_layers import (
     COMPOSE,
     FILTER,
@@ -37,6 +40,7 @@ from ..visibility.placed import placed_textures
 from ..visibility.polygon_draws import polygon_draws
 from ..visibility.targets import VisibilityTargets
 from ..visibility.tiles import PictureTile
+from .splats import SplatsBeforePanes
 
 MOST_LAYERS = 128
 Run = Callable[[str, Callable[[], None]], None]  # runs a pass, and times it under a name
@@ -65,13 +69,18 @@ class Panes:
         sums: Target,
         run: Run,
         indirect: GroupsInIndirectLight | None,
+        lit: LitSplats | None,
     ) -> None:
-        """`sums`: of Combined alone. `run` times each pass. `indirect`: light that surfaces receive from each other."""
+        """`sums`: of Combined alone. `run` times each pass. `indirect`: light that surfaces receive from each other.
+        `lit`: translucent splats among the panes, that are drawn with these."""
         self._device, self._plan, self._uploads, self._targets = device, plan, uploads, targets
         self._shading, self._sums, self._run, self._indirect = shading, sums, run, indirect
         self._owned: list[Any] = []
         lattice, cells = targets.buffer.lattice, targets.buffer.cells
         self._buffer = self._own(VisibilityBuffer(device, lattice, targets.size_of_tile))
+        self._splats: SplatsBeforePanes | None = None
+        if lit is not None:
+            self._splats = self._own(SplatsBeforePanes(device, plan, lit, self._buffer, run))
         self._groups = self._own(Groups(device, self._buffer))
         self._states = [
             {name: self._own(device.texture(cells, format)) for name, format in STATE.items()} for _ in range(2)
@@ -81,28 +90,35 @@ class Panes:
         self._numbers = self._filled(number_texels(lattice), "R32F")
         self._members = self._filled(member_texels(lattice, np.arange(lattice.count)), "RGBA32F")
 
-    def draw(self, view: SampleView, tile: PictureTile, shaded: dict[str, Texture], weights: np.ndarray) -> None:
-        """Adds to the sums what panes change in a tile.
+    def draw(
+        self, view: SampleView, tile: PictureTile, shaded: dict[str, Texture], weights: np.ndarray, coarse: bool
+    ) -> None:
+        """Adds to the sums what panes, and translucent splats among them, change in a tile.
 
-        `shaded`: what opaque groups show, by sampler name. weights: (N, S), of the pixel filter.
+        `shaded`: what opaque groups show, by sampler name. weights: (N, S), of the pixel filter. `coarse`: splats are
+        drawn at a lower resolution.
         """
         device, uploads = self._device, self._uploads
         panes = _Panes(uploads.scene, replace(uploads.prepared, polygons=uploads.prepared.panes), uploads.polygons)
         draws = polygon_draws(device, panes, view, 0, None)
-        if not draws:
-            return
-        cover = PolygonCover(device, draws, self._buffer, self._plan.variant.normal, (FOLLOWING, OPAQUE))
-        try:
-            last = self._draw_layers(view, cover)
-        finally:
-            cover.release()
+        if self._splats is not None:
+            self._splats.look(view, len(weights) ** 0.5 // 2 + 2 * COARSE, coarse)
+        some = self._splats is not None and self._splats.found.some
+        last = 0 if some else None
+        device.clear(self._state_targets[0])
+        if draws:
+            cover = PolygonCover(device, draws, self._buffer, self._plan.variant.normal, (FOLLOWING, OPAQUE))
+            try:
+                composed = self._draw_layers(view, cover)
+            finally:
+                cover.release()
+            last = last if composed is None else composed
         if last is not None:
-            self._run("add", lambda: self._add(view, tile, shaded, weights, last))
+            self._add(view, tile, shaded, weights, last)
 
     def _draw_layers(self, view: SampleView, cover: PolygonCover) -> int | None:
         """Composes all layers, and returns which of the states holds them; None: there are none."""
         device, current = self._device, 0
-        device.clear(self._state_targets[0])
         for layer in range(MOST_LAYERS):
             state = self._states[current]
             peeled = {OPAQUE: self._targets.buffer.depths, FOLLOWING: state[FOLLOWING]}
@@ -125,11 +141,12 @@ class Panes:
                     ),
                 )
                 self._shade(view, leaders, lists.surfaces, lists.target)
+                before = self._draw_splats(view, self._buffer, self._groups, open_too=False)
                 shown = {THROUGH: through[0], "ps_combined": lists.shaded["ps_combined"]}
                 self._run(
                     "compose",
-                    lambda state=state, shown=shown, current=current: self._compose(
-                        view, {**state, **shown}, self._state_targets[1 - current]
+                    lambda state=state, shown=shown, before=before, current=current: self._compose(
+                        view, {**state, **shown, **before}, self._state_targets[1 - current]
                     ),
                 )
             finally:
@@ -178,8 +195,17 @@ class Panes:
         groups = leaders.bound | self._groups.codes
         self._run("shade", lambda: self._shading.shade_groups(view, surfaces, groups, self._buffer, target, received))
 
+    def _draw_splats(
+        self, view: SampleView, buffer: VisibilityBuffer, groups: Groups, open_too: bool
+    ) -> dict[str, Texture]:
+        """Draws the translucent splats before what a buffer shows: see SplatsBeforePanes."""
+        if self._splats is None or not self._splats.found.some:
+            return {}
+        return self._splats.draw(view, buffer, groups, open_too)
+
     def _compose(self, view: SampleView, textures: dict[str, Texture], target: Target) -> None:
-        program = compose_program(self._groups.places is not None, self._plan.term)
+        found = NOTHING if self._splats is None else self._splats.found
+        program = compose_program(self._groups.places is not None, self._plan.term, found)
         bound = {**_listed(self._groups), **textures, "ps_numbers": self._numbers, "ps_depths": self._buffer.depths}
         record = view.record(COMPOSE, **self._buffer.values)
         self._device.draw(program, target, uniforms=record, textures=bound)
@@ -188,12 +214,21 @@ class Panes:
         self, view: SampleView, tile: PictureTile, shaded: dict[str, Texture], weights: np.ndarray, last: int
     ) -> None:
         """Adds what the layers of a state change in a tile to the sums."""
+        before = self._draw_splats(view, self._targets.buffer, self._targets.groups, open_too=True)
+        self._run("add", lambda: self._filter(view, tile, shaded | before, weights, last))
+
+    def _filter(
+        self, view: SampleView, tile: PictureTile, shown: dict[str, Texture], weights: np.ndarray, last: int
+    ) -> None:
+        """Adds what a state changes to the sums. `shown`: what opaque groups show, and splats before them, by sampler
+        name."""
         device, targets, lattice = self._device, self._targets, self._buffer.lattice
         behind = {} if targets.behind is None else {"ps_behind": targets.behind}
-        program = change_program(targets.behind is not None, targets.groups.places is not None)
+        found = NOTHING if self._splats is None else self._splats.found
+        program = change_program(targets.behind is not None, targets.groups.places is not None, found)
         state, other = self._states[last], self._states[1 - last]
-        textures = {**_listed(targets.groups), **behind, "ps_numbers": self._numbers}
-        textures |= {"ps_combined": shaded["ps_combined"]} | {name: state[name] for name in ("ps_light", "ps_hidden")}
+        textures = {**_listed(targets.groups), **behind, **shown, "ps_numbers": self._numbers}
+        textures |= {name: state[name] for name in ("ps_light", "ps_hidden")}
         record = view.record(COMPOSE, **self._buffer.values)
         device.draw(program, self._change_targets[1 - last], uniforms=record, textures=textures)
         rows = weight_rows(weights, np.arange(lattice.count))

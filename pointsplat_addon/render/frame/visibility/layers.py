@@ -97,7 +97,7 @@ class Visibility:
                 if self._translucent is not None:
                     self._translucent.draw(seen, tile, shaded, self.weights(seen), coarse)
                 if self._panes is not None:
-                    self._panes.draw(seen, tile, shaded, self.weights(seen))
+                    self._panes.draw(seen, tile, shaded, self.weights(seen), coarse)
             if central:
                 self._draw_central(seen, tile)
             if identify:

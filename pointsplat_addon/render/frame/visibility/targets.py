@@ -48,7 +48,7 @@ class VisibilityTargets:
             self.behind = behind = self._own(device.texture(of_tile, "RGBA32F"))
             self.behind_target: Target = self._own(device.target([behind]))
         self.translucent: LayerTargets | None = None
-        if plan.translucent is not None and not plan.defocus:
+        if plan.translucent is not None and not plan.defocus and not plan.panes:
             self.translucent = self._own(LayerTargets(device, plan, of_tile))
         self._lists: _Lists | None = None
         self._lists_of_panes: _Lists | None = None

@@ -15,8 +15,7 @@ MOST_TRIANGLES = 1 << 16  # of all panes: each layer draws all of them
 def pane_rows(view: View, of_each: Sequence[np.ndarray]) -> frozenset[int]:
     """Returns the rows of geometries whose instances in the picture are panes: all translucent meshes or none.
 
-    They are where the visibility buffer draws, nothing else is translucent, and they are few. of_each: instances of
-    each geometry.
+    They are where the visibility buffer draws, and they are few. of_each: instances of each geometry.
     """
     scene = view.scene
     if view.settings.technique != "VISIBILITY" or view.blur is not None:
@@ -28,11 +27,9 @@ def pane_rows(view: View, of_each: Sequence[np.ndarray]) -> frozenset[int]:
     found = [row for row, geometry in geometries.items() if is_translucent(geometry, scene.materials)]
     triangles, instances = 0, scene.instances
     for row in found:
-        mesh = geometries[row].mesh
-        if mesh is None:
-            return frozenset()
-        triangles += len(mesh.triangles) * len(of_each[row])
         for special in (instances.holdout, instances.matte):
             if special is not None and special[of_each[row]].any():
                 return frozenset()
-    return frozenset(found if triangles <= MOST_TRIANGLES else ())
+        if (mesh := geometries[row].mesh) is not None:
+            triangles += len(mesh.triangles) * len(of_each[row])
+    return frozenset(row for row in found if geometries[row].mesh is not None and triangles <= MOST_TRIANGLES)

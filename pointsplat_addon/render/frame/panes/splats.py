@@ -1,0 +1,277 @@
+"""Draws translucent splats up to the depths of a layer of panes, or of what is opaque."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...device.protocol import Device, Target, Texture, releases_on_failure
+from ...passes.grouping.groups import Groups
+from ...passes.translucent.before_panes import (
+    KEEP,
+    OPEN_LAYER,
+    PLACE,
+    PLACE_CELLS,
+    WHITE,
+    Found,
+    keep_program,
+    place_cells_program,
+    place_program,
+)
+from ...passes.translucent.blend import COARSE, ENLARGE
+from ...passes.translucent.cells import PixelBlock, splats_in
+from ...passes.translucent.lit_splats import LitSplats
+from ...passes.translucent.strata import are_narrow, bounds, tiles_by_layer, touched_tiles
+from ...passes.uniforms import SampleView
+from ...passes.visibility.buffer import VisibilityBuffer
+from ...plan.plan import Plan
+
+Run = Callable[[str, Callable[[], None]], None]  # runs a pass, and times it under a name
+
+
+@dataclass(eq=False)
+class _Splats:
+    """The splats of one view, as the pass `light` left them, and where they are looked at."""
+
+    centre: np.ndarray  # (N, 4)
+    shape: np.ndarray  # (N, 4)
+    narrow: np.ndarray  # (rows, columns) bool: tiles in which they are looked at in each sub-sample
+    wide: np.ndarray  # (rows, columns) bool: in which once for each group
+
+
+class SplatsBeforePanes:
+    """The translucent splats of one picture, among panes.
+
+    Textures by sampler name: `ps_listed` has of each group of the layer that was drawn last the light of splats before
+    it, and in w the share that they hide, where these are wide; `ps_cells` has the same of each cell where some are
+    narrow, and `ps_open` of what is open. Where the light that passes is coloured, `ps_cells_white` and `ps_open_white`
+    have what is seen of white and of the splats before it, and `ps_listed_hidden` what is hidden of each channel.
+    """
+
+    @releases_on_failure
+    def __init__(self, device: Device, plan: Plan, lit: LitSplats, buffer: VisibilityBuffer, run: Run) -> None:
+        """`buffer`: of a tile of the picture. `run` times each pass."""
+        assert plan.translucent is not None
+        self._device, self._lit, self._run, self._options = device, lit, run, plan.translucent
+        self.tint = plan.translucent.tint
+        self._buffer_size, self._cells_size = buffer.size, buffer.cells
+        self._owned: list[Any] = []
+        self._names = ("", "_white") if self.tint else ("",)
+        self._pixels = {name: self._texture(buffer.size, "RGBA32F") for name in self._names}
+        self._pixel_targets = {name: self._target(texture) for name, texture in self._pixels.items()}
+        self._open: dict[str, Texture] = {}
+        self._open_targets: dict[str, Target] = {}
+        self._place = self._texture(buffer.size, "R32F")
+        self._place_target = self._target(self._place)
+        self._coarse_target: Target | None = None
+        if plan.coarse:
+            size = -(-buffer.size[0] // COARSE), -(-buffer.size[1] // COARSE)
+            self._coarse = self._texture(size, "RGBA32F")
+            self._coarse_target = self._target(self._coarse)
+        self._cells: dict[str, Texture] = {}
+        self._cell_targets: dict[str, Target] = {}
+        self._cell_place_target: Target | None = None
+        self._lists: dict[str, Texture] = {}
+        self._list_target: Target | None = None
+        self._seen: _Splats | None = None
+        self._narrow_mask: Texture | None = None
+
+    def look(self, view: SampleView, around: float, coarse: bool) -> None:
+        """Finds where splats are in a view of a tile. `around`: pixels around a splat that count as touched.
+        `coarse`: they are drawn at a lower resolution, and looked at once for each group."""
+        centre, shape = (
+            self._device.read(self._lit.textures[name]).reshape(-1, 4)[: self._lit.count]
+            for name in ("ps_centre", "ps_shape")
+        )
+        where = view.principal_point, view.size, around
+        touched = touched_tiles(centre, shape, *where)
+        thin = are_narrow(shape, self._options.kernels) & (not coarse)
+        narrow = touched_tiles(centre[thin], shape[thin], *where) if thin.any() else np.zeros_like(touched)
+        self._seen = _Splats(centre, shape, narrow, touched & ~narrow)
+        self._coarse_now = coarse
+        self._release_mask()
+        self._narrow_mask = self._mask(narrow)
+
+    @property
+    def found(self) -> Found:
+        """Where splats are, which programs that read what is drawn depend on."""
+        assert self._seen is not None
+        return Found(bool(self._seen.narrow.any()), bool(self._seen.wide.any()), self.tint)
+
+    def draw(self, view: SampleView, buffer: VisibilityBuffer, groups: Groups, open_too: bool) -> dict[str, Texture]:
+        """Draws the splats before what a buffer shows, and returns the textures that programs read: see Found.
+
+        `groups`: of the buffer. `open_too`: all of them, too, where nothing is.
+        """
+        assert self._seen is not None
+        seen, textures = self._seen, {}
+        if seen.narrow.any():
+            self._draw_cells(view, buffer, groups, open_too)
+            assert self._narrow_mask is not None
+            textures |= {f"ps_cells{name}": texture for name, texture in self._cells.items()}
+            textures["ps_narrow"] = self._narrow_mask
+        if seen.wide.any():
+            self._draw_layers(view, groups)
+            textures |= self._lists
+            if open_too:
+                self._draw_open(view, groups)
+                textures |= {f"ps_open{name}": texture for name, texture in self._open.items()}
+        return textures
+
+    # Wide splats
+
+    def _draw_layers(self, view: SampleView, groups: Groups) -> None:
+        """Draws splats up to the middle of each group of pixels in tiles that only wide ones touch."""
+        assert self._seen is not None
+        assert groups.leaders is not None
+        self._fit_lists(groups.leaders.size)
+        assert self._list_target is not None
+        self._device.clear(self._list_target)
+        for layer, where in enumerate(tiles_by_layer(groups.covered, self._seen.wide)):
+            if not where.any():
+                continue
+            self._draw_layer(view, groups, layer, where, self._pixel_targets)
+            self._run("keep", lambda layer=layer: self._keep(view, groups, layer))
+
+    def _draw_open(self, view: SampleView, groups: Groups) -> None:
+        """Draws all splats where nothing is behind them."""
+        assert self._seen is not None
+        if not self._open:
+            self._open = {name: self._texture(self._buffer_size, "RGBA32F") for name in self._names}
+            self._open_targets = {name: self._target(texture) for name, texture in self._open.items()}
+        where = tiles_by_layer(groups.layers - groups.covered, self._seen.wide)[0]
+        self._draw_layer(view, groups, OPEN_LAYER, where, self._open_targets)
+
+    def _draw_layer(
+        self, view: SampleView, groups: Groups, layer: int, where: np.ndarray, targets: dict[str, Target]
+    ) -> None:
+        """Draws splats over nothing, and over white, up to the depth of a layer in tiles (rows, columns) bool."""
+        device, around = self._device, bounds(where)
+        wanted = self._mask(where)
+        try:
+            self._run("expand", lambda: self._expand(view, groups, layer, wanted))
+        finally:
+            wanted.release()
+        for name, target in targets.items():
+            device.clear(target, WHITE if name else (0.0, 0.0, 0.0, 0.0))
+            if not where.any():
+                continue
+            if self._coarse_now and self._coarse_target is not None:
+                coarse = self._coarse_target
+                device.clear(coarse)
+                self._run(
+                    "translucent",
+                    lambda coarse=coarse: self._lit.draw(coarse, view, self._place, COARSE, around),
+                )
+                textures = {"ps_coarse": self._coarse}
+                self._run(
+                    "enlarge",
+                    lambda target=target, textures=textures: device.draw(ENLARGE, target, textures=textures, over=True),
+                )
+            else:
+                self._run(
+                    "translucent",
+                    lambda target=target: self._lit.draw(target, view, self._place, bounds=around, tiles=where),
+                )
+
+    def _expand(self, view: SampleView, groups: Groups, layer: int, wanted: Texture) -> None:
+        assert groups.leaders is not None
+        assert groups.starts is not None
+        places = {} if groups.places is None else {"ps_places": groups.places}
+        depths = {"ps_leader_depths": groups.leaders.textures["ps_leader_depths"]}
+        textures = {**groups.codes, **depths, **places, "ps_starts": groups.starts, "ps_wanted": wanted}
+        record = view.record(PLACE, layer=layer)
+        self._device.draw(place_program(bool(places)), self._place_target, uniforms=record, textures=textures)
+
+    def _keep(self, view: SampleView, groups: Groups, layer: int) -> None:
+        assert groups.leaders is not None
+        assert groups.leaders.list is not None
+        assert self._list_target is not None
+        textures = {"ps_list": groups.leaders.list, "ps_layer": self._pixels[""]}
+        if self.tint:
+            textures["ps_white"] = self._pixels["_white"]
+        record = view.record(KEEP, layer=layer)
+        self._device.draw(keep_program(self.tint), self._list_target, uniforms=record, textures=textures)
+
+    def _fit_lists(self, size: tuple[int, int]) -> None:
+        """Makes lists of this size, if those of before do not fit."""
+        if self._lists and self._lists["ps_listed"].size == size:
+            return
+        self._release_lists()
+        for name in ("ps_listed", *(("ps_listed_hidden",) if self.tint else ())):
+            self._lists[name] = self._device.texture(size, "RGBA32F")
+        self._list_target = self._device.target(list(self._lists.values()))
+
+    # Narrow splats
+
+    def _draw_cells(self, view: SampleView, buffer: VisibilityBuffer, groups: Groups, open_too: bool) -> None:
+        """Draws splats up to the depth of each sub-sample in tiles that narrow ones touch."""
+        assert self._seen is not None
+        if not self._cells:
+            self._cells = {name: self._texture(self._cells_size, "RGBA32F") for name in self._names}
+            self._cell_targets = {name: self._target(texture) for name, texture in self._cells.items()}
+            self._cell_place = self._texture(self._cells_size, "R32F")
+            self._cell_place_target = self._target(self._cell_place)
+        counts = groups.layers if open_too else groups.covered
+        where = tiles_by_layer(counts, self._seen.narrow)[0]
+        for name, target in self._cell_targets.items():
+            self._device.clear(target, WHITE if name else (0.0, 0.0, 0.0, 0.0))
+        if not where.any():
+            return
+        wanted = self._mask(where)
+        try:
+            self._run("expand", lambda: self._expand_cells(view, buffer, wanted, open_too))
+        finally:
+            wanted.release()
+        low_x, low_y, high_x, high_y = bounds(where)
+        found = PixelBlock((int(low_x), int(low_y)), (int(high_x), int(high_y)))
+        some = splats_in(found, self._seen.centre, self._seen.shape, view.principal_point)
+        widest = float((self._seen.shape[some, 0] + self._seen.shape[some, 2]).max(initial=0.0))
+        p, q, *origin = buffer.values["lattice"]  # pyright: ignore[reportGeneralTypeIssues]
+        turned = (p, q), (origin[0], origin[1]), some, widest
+        for target in self._cell_targets.values():
+            self._run(
+                "translucent",
+                lambda target=target: self._lit.draw_turned(target, view, self._cell_place, *turned),
+            )
+
+    def _expand_cells(self, view: SampleView, buffer: VisibilityBuffer, wanted: Texture, open_too: bool) -> None:
+        assert self._cell_place_target is not None
+        record = view.record(PLACE_CELLS, **buffer.values)
+        textures = {"ps_depths": buffer.depths, "ps_wanted": wanted}
+        program = place_cells_program(open_too)
+        self._device.draw(program, self._cell_place_target, uniforms=record, textures=textures)
+
+    # Textures
+
+    def _mask(self, tiles: np.ndarray) -> Texture:
+        """A texture of tiles (rows, columns) bool."""
+        size = tiles.shape[1], tiles.shape[0]
+        return self._device.texture(size, "R32F", tiles.astype(np.float32).reshape(-1))
+
+    def _texture(self, size: tuple[int, int], format: str) -> Texture:
+        self._owned.append(found := self._device.texture(size, format))
+        return found
+
+    def _target(self, *textures: Texture) -> Target:
+        self._owned.append(found := self._device.target(textures))
+        return found
+
+    def _release_mask(self) -> None:
+        if self._narrow_mask is not None:
+            self._narrow_mask.release()
+        self._narrow_mask = None
+
+    def _release_lists(self) -> None:
+        for item in (*self._lists.values(), *(() if self._list_target is None else (self._list_target,))):
+            item.release()
+        self._lists, self._list_target = {}, None
+
+    def release(self) -> None:
+        self._release_mask()
+        self._release_lists()
+        for item in reversed(self._owned):
+            item.release()

@@ -1,0 +1,86 @@
+"""What translucent splats send from before the panes of a layer, and what they let through (render/frame/panes).
+
+With L(d) the light that splats send from nearer than d, over nothing, and T(d) the share of light that they let
+through, what lies between two depths sends L(b) - L(a), which passes the panes before it: P, the product of what these
+let through. A sum over such parts is one over depths (Abel): L(d) counts by the fall of P at the pane in d, and up to
+what is opaque by the last P. So all splats are drawn over nothing once for each layer of panes, up to its depths, and
+once up to what is opaque. Splats at least a pixel wide are looked at once for each group of sub-samples, at its
+middle's depth, narrower ones in each sub-sample.
+"""
+
+from __future__ import annotations
+
+from ....core.numeric.record import value_record
+from ....shading.interface import Interface
+from ..grouping.groups import LIST_SAMPLER
+from ..tiles import TILE_DEFINE
+from ..uniforms import CAMERA_FIELDS, block
+from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS
+
+OPEN_LAYER = -1  # of what no group covers
+PLACE = block("PanePlace", CAMERA_FIELDS, (("int", "layer"),))
+PLACE_CELLS = block("PanePlaceCells", CAMERA_FIELDS, LATTICE_FIELDS)
+KEEP = block("PaneKeep", CAMERA_FIELDS, (("int", "layer"),))
+WHITE = (1.0, 1.0, 1.0, 0.0)  # what splats are drawn over once more, where the light that passes is coloured
+CODES = (("UINT_2D", "ps_first"), ("UINT_2D", "ps_second"))
+
+
+@value_record
+class Found:
+    """Where in a tile of the picture splats are: variants of the programs that read what they send and hide."""
+
+    narrow: bool  # in some they are looked at in each sub-sample
+    wide: bool  # in some once for each group
+    tint: bool  # what they hide differs between the channels
+
+    @property
+    def some(self) -> bool:
+        """Whether there are any."""
+        return self.narrow or self.wide
+
+    def samplers(self, open_too: bool) -> tuple[str, ...]:
+        """Names of the textures of floats that are read; `open_too`: of what is open, too."""
+        white = ("", "_white") if self.tint else ("",)
+        cells = (*(f"ps_cells{name}" for name in white), "ps_narrow") if self.narrow else ()
+        lists = ("ps_listed", *(("ps_listed_hidden",) if self.tint else ())) if self.wide else ()
+        return *cells, *lists, *(f"ps_open{name}" for name in white if self.wide and open_too)
+
+    def defines(self, open_too: bool) -> tuple[tuple[str, str], ...]:
+        """Of lib/translucent/before.glsl."""
+        flags = {"PS_IN_CELLS": self.narrow, "PS_LISTED": self.wide, "PS_OPEN_TOO": self.wide and open_too}
+        flags |= {"PS_TINT": self.tint}
+        return (TILE_DEFINE, *((name, "1") for name, on in flags.items() if on)) if self.some else ()
+
+
+NOTHING = Found(False, False, False)
+
+
+def place_program(places: bool) -> Interface:
+    """Returns the program that writes the depth of a layer of each pixel: of a group, or behind all for what is open.
+    `places`: the list of groups is not in the order of the pixels."""
+    read = ("ps_starts", "ps_wanted", *(("ps_places",) if places else ()))
+    return Interface(
+        "expand", fragment="panes/place.frag", block=PLACE,
+        samplers=(*CODES, ("UINT_2D", "ps_leader_depths"), *(("FLOAT_2D", name) for name in read)),
+        outputs=(("float", "out_place"),), defines=(TILE_DEFINE, *((("PS_PLACES", "1"),) if places else ())),
+    )  # fmt: skip
+
+
+def place_cells_program(open_too: bool) -> Interface:
+    """Returns the program that writes the depth of each sub-sample; `open_too`: behind all for what is open."""
+    return Interface(
+        "expand", fragment="panes/place_cells.frag", block=PLACE_CELLS,
+        samplers=(("UINT_2D", "ps_depths"), ("FLOAT_2D", "ps_wanted")), outputs=(("float", "out_place"),),
+        defines=(LATTICE_DEFINE, TILE_DEFINE, *((("PS_OPEN_TOO", "1"),) if open_too else ())),
+    )  # fmt: skip
+
+
+def keep_program(tint: bool) -> Interface:
+    """Returns the program that brings what was drawn for a layer of pixels into the list of groups."""
+    names = ("ps_layer", *(("ps_white",) if tint else ()))
+    return Interface(
+        "keep", fragment="panes/keep.frag", block=KEEP,
+        samplers=(LIST_SAMPLER, *(("FLOAT_2D", name) for name in names)),
+        outputs=(("vec4", "out_listed"), *((("vec4", "out_listed_hidden"),) if tint else ())),
+        defines=(("PS_TINT", "1"),) if tint else (),
+    )  # fmt: skip

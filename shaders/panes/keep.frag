@@ -1,0 +1,17 @@
+// What translucent splats send from before the groups of one layer of pixels, and what they hide, from pixels into the list of
+// groups. PS_TINT: what they hide of each channel, by what is seen of white through them.
+
+#include "lib/geometry/camera.glsl"
+#include "lib/visibility/listed.glsl"
+
+void main()
+{
+  PsListed listed = ps_listed(ivec2(gl_FragCoord.xy));
+  if (listed.layer != u.layer) {
+    discard;
+  }
+  out_listed = texelFetch(ps_layer, listed.pixel, 0);
+#ifdef PS_TINT
+  out_listed_hidden = vec4(1.0 - (texelFetch(ps_white, listed.pixel, 0).rgb - out_listed.rgb), 0.0);
+#endif
+}
