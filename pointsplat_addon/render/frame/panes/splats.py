@@ -22,9 +22,8 @@ from ...passes.translucent.before_panes import (
     place_program,
 )
 from ...passes.translucent.blend import COARSE, ENLARGE
-from ...passes.translucent.cells import PixelBlock, splats_in
 from ...passes.translucent.lit_splats import LitSplats
-from ...passes.translucent.strata import are_narrow, bounds, tiles_by_layer, touched_tiles
+from ...passes.translucent.strata import are_narrow, bounds, splats_over, tiles_by_layer, touched_tiles
 from ...passes.uniforms import SampleView
 from ...passes.visibility.buffer import VisibilityBuffer
 from ...plan.plan import Plan
@@ -40,6 +39,12 @@ class _Splats:
     shape: np.ndarray  # (N, 4)
     narrow: np.ndarray  # (rows, columns) bool: tiles in which they are looked at in each sub-sample
     wide: np.ndarray  # (rows, columns) bool: in which once for each group
+
+    def over(self, tiles: np.ndarray, view: SampleView) -> tuple[np.ndarray, float]:
+        """Returns which splats touch some of tiles (rows, columns) bool, (K,) int64, and the greatest sum of both axes'
+        variances, in square pixels."""
+        rows = splats_over(tiles, self.centre, self.shape, view.principal_point)
+        return rows, float((self.shape[rows, 0] + self.shape[rows, 2]).max(initial=0.0))
 
 
 class SplatsBeforePanes:
@@ -149,7 +154,9 @@ class SplatsBeforePanes:
         self, view: SampleView, groups: Groups, layer: int, where: np.ndarray, targets: dict[str, Target]
     ) -> None:
         """Draws splats over nothing, and over white, up to the depth of a layer in tiles (rows, columns) bool."""
+        assert self._seen is not None
         device, around = self._device, bounds(where)
+        rows, widest = self._seen.over(where, view)
         wanted = self._mask(where)
         try:
             self._run("expand", lambda: self._expand(view, groups, layer, wanted))
@@ -174,7 +181,9 @@ class SplatsBeforePanes:
             else:
                 self._run(
                     "translucent",
-                    lambda target=target: self._lit.draw(target, view, self._place, bounds=around, tiles=where),
+                    lambda target=target: self._lit.draw_turned(
+                        target, view, self._place, (1.0, 0.0), (0.0, 0.0), rows, widest, around
+                    ),
                 )
 
     def _expand(self, view: SampleView, groups: Groups, layer: int, wanted: Texture) -> None:
@@ -226,12 +235,9 @@ class SplatsBeforePanes:
             self._run("expand", lambda: self._expand_cells(view, buffer, wanted, open_too))
         finally:
             wanted.release()
-        low_x, low_y, high_x, high_y = bounds(where)
-        found = PixelBlock((int(low_x), int(low_y)), (int(high_x), int(high_y)))
-        some = splats_in(found, self._seen.centre, self._seen.shape, view.principal_point)
-        widest = float((self._seen.shape[some, 0] + self._seen.shape[some, 2]).max(initial=0.0))
+        rows, widest = self._seen.over(where, view)
         p, q, *origin = buffer.values["lattice"]  # pyright: ignore[reportGeneralTypeIssues]
-        turned = (p, q), (origin[0], origin[1]), some, widest
+        turned = (p, q), (origin[0], origin[1]), rows, widest
         for target in self._cell_targets.values():
             self._run(
                 "translucent",

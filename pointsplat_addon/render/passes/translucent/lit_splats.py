@@ -105,16 +105,19 @@ class LitSplats:
         origin: tuple[float, float],
         rows: np.ndarray,
         variance: float,
+        bounds: Bounds | None = None,
     ) -> None:
         """Blends some splats over a target whose texels are turned against the picture's pixels.
 
         `depth`: of what is opaque, one texel for each of the target's. `turn`: first column of the matrix that takes
         pixels to texels; `origin`: where pixel coordinates (0, 0) lie. rows: (K,) int64 of the splats, rising.
-        `variance`: in square pixels, the sum of both axes' of the largest of these splats.
+        `variance`: in square pixels, the sum of both axes' of the largest of these splats. `bounds`: in the target,
+        what lies outside of them is not wanted.
         """
         size, data = paged(np.column_stack([rows & (PAGE_WIDTH - 1), rows // PAGE_WIDTH]), 2)
         listed = self.device.texture(size, "RG32F", data)
-        where = {"turn": turn, "origin": origin, "place": 1.0, "bounds": (0.0, 0.0, *target.colors[0].size)}
+        bounds = (0.0, 0.0, *target.colors[0].size) if bounds is None else bounds
+        where = {"turn": turn, "origin": origin, "place": 1.0, "bounds": bounds}
         try:
             small = 2 * np.hypot(*turn) * (SUPPORT * variance) ** 0.5 <= WIDEST_POINT
             self._draw(target, view, depth, where, len(rows), {"ps_listed": listed}, bool(small))

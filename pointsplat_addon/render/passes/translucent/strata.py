@@ -141,6 +141,27 @@ def touched_tiles(
     return corners.reshape(rows, columns).cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0
 
 
+def splats_over(
+    tiles: np.ndarray, centre: np.ndarray, shape: np.ndarray, principal_point: tuple[float, float]
+) -> np.ndarray:
+    """Returns which splats touch some of tiles (rows, columns) bool, (K,) int64, in their order.
+
+    centre, shape: (N, 4) as the pass `light` left them, of a view with this principal point.
+    """
+    rows, columns = tiles.shape
+    counts = np.zeros((rows + 1, columns + 1), np.int64)
+    counts[1:, 1:] = tiles.cumsum(axis=0).cumsum(axis=1)
+    with np.errstate(all="ignore"):
+        half = np.sqrt(SUPPORT * np.maximum(shape[:, [0, 2]], 0))
+        middle = centre[:, :2] + np.asarray(principal_point, np.float32)
+        low = np.clip(np.floor((middle - half) / TILE), 0, (columns, rows))
+        high = np.clip(np.floor((middle + half) / TILE) + 1, 0, (columns, rows))
+        there = np.flatnonzero((centre[:, 3] > 0) & (high > low).all(axis=1))
+    (x, y), (end_x, end_y) = (corner[there].astype(np.int64).T for corner in (low, high))
+    inside = counts[end_y, end_x] - counts[y, end_x] - counts[end_y, x] + counts[y, x]
+    return there[inside > 0]
+
+
 def open_tiles(layers: np.ndarray, covered: np.ndarray, tiles: np.ndarray) -> np.ndarray:
     """Returns which of tiles (rows, columns) bool have pixels that are open in part.
 

@@ -9,7 +9,7 @@ import numpy as np
 from ..separation import is_translucent
 from ..view import View
 
-MOST_TRIANGLES = 1 << 16  # of all panes: each layer draws all of them
+MOST_TRIANGLES = 1 << 20  # of all panes: each layer draws all of them
 
 
 def pane_rows(view: View, of_each: Sequence[np.ndarray]) -> frozenset[int]:
