@@ -37,7 +37,9 @@ def pane(y: float, row: int, left: float = -8.0):
 
 def smoke(cells: int, depth: np.ndarray):
     even = float(depth[0]) if np.ptp(depth) == 0 else depth
-    return points(f"smoke {cells} {depth}", voxels(2.4, 1.0, cells, even, emission=tuple(SOURCE * depth))), moved((0, 0, 0))
+    return points(f"smoke {cells} {depth}", voxels(2.4, 1.0, cells, even, emission=tuple(SOURCE * depth))), moved(
+        (0, 0, 0)
+    )
 
 
 def picture(*things, samples=16, interactive=False, **more):
@@ -52,7 +54,7 @@ def picture(*things, samples=16, interactive=False, **more):
 
 
 def expected(stack, depth: np.ndarray, wall: bool) -> np.ndarray:
-    """What is seen of smoke from -0.5 to 0.5, among panes, before a wall: RGB, and alpha by the mean of the channels."""
+    """What is seen of smoke from -0.5 to 0.5, among panes, before a wall: RGB, and alpha by the channels' mean."""
     light, passed, at = np.zeros(3), np.ones(3), -9.0
     for y, row in [*stack, (9.0, WALL if wall else None)]:
         through = np.exp(-depth * max(min(y, 0.5) - max(at, -0.5), 0))
@@ -108,7 +110,9 @@ def test_a_smoke_that_is_held_out_leaves_panes_to_splats():
 def test_splats_over_tiles_are_those_whose_boxes_touch_them():
     random = np.random.default_rng(3)
     tiles = random.random((5, 7)) > 0.8
-    centre = np.concatenate([random.uniform(-60, 160, (500, 2)), np.ones((500, 1)), random.integers(0, 2, (500, 1))], axis=1)
+    centre = np.concatenate(
+        [random.uniform(-60, 160, (500, 2)), np.ones((500, 1)), random.integers(0, 2, (500, 1))], axis=1
+    )
     shape = np.tile([4.0, 0.0, 9.0, 36.0], (500, 1)).astype(np.float32)
     found = splats_over(tiles, centre.astype(np.float32), shape, (3.0, -2.0))
     half = 3.5 * np.array([2.0, 3.0])
