@@ -1,5 +1,5 @@
 // What translucent splats send from before the groups of one layer of pixels, and what they hide, from pixels into the list of
-// groups. PS_TINT: what they hide of each channel, by what is seen of white through them.
+// groups. PS_TINT: and their optical depths, of each channel.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/visibility/listed.glsl"
@@ -12,6 +12,6 @@ void main()
   }
   out_listed = texelFetch(ps_layer, listed.pixel, 0);
 #ifdef PS_TINT
-  out_listed_hidden = vec4(1.0 - (texelFetch(ps_white, listed.pixel, 0).rgb - out_listed.rgb), 0.0);
+  out_listed_depths = texelFetch(ps_layer_depths, listed.pixel, 0);
 #endif
 }

@@ -1,5 +1,5 @@
 // A translucent splat over the picture: its optical depth along the pixel's ray (Beer's law), and the light of what of
-// it lies in front of all that is opaque.
+// it lies in front of all that is opaque. PS_DEPTHS: that optical depth alone, of each channel.
 
 #include "lib/splat/kernel.glsl"
 #include "lib/translucent/place.glsl"
@@ -89,7 +89,9 @@ void main()
   covered = captured ? hidden : covered;
 #endif
 #endif
-#ifdef PS_MATTES
+#if defined(PS_DEPTHS)
+  out_color = vec4(depth * v_tint, 0.0);
+#elif defined(PS_MATTES)
   out_color = vec4(source * covered, covered);
 #else
   out_color = vec4(v_source.rgb * covered, covered);

@@ -1,7 +1,7 @@
 // Two triangles (one where all are captured, or a point with PS_POINTS) that hold a lit splat's ellipse up to the rim of its
 // kernel. Layout: render/passes/translucent/page.py.
 // u.turn: the first column of the matrix that takes pixels to texels of the target, which turns and scales them; u.origin:
-// where pixel coordinates (0, 0) lie there. PS_LISTED: not all splats are drawn, but those of ps_listed.
+// where pixel coordinates (0, 0) lie there. u.low_pass: by how much splats are widened. PS_LISTED: not all splats are drawn, but those of ps_listed.
 
 #include "lib/splat/kernel.glsl"
 #ifdef PS_CAPTURED
@@ -11,7 +11,6 @@
 #endif
 #endif
 
-#define PS_LOW_PASS 0.04
 #define PS_HUGE 1e8  // pixels^2: variance of what is drawn over all of the picture
 #define PS_SHAPED 0.25  // pixels^4: determinant of the covariance above which kernels have shapes of their own
 
@@ -80,15 +79,17 @@ void main()
   vec3 turned = vec3(a * a * shape.x - 2.0 * a * b * shape.y + b * b * shape.z,
                      a * b * (shape.x - shape.z) + (a * a - b * b) * shape.y,
                      b * b * shape.x + 2.0 * a * b * shape.y + a * a * shape.z);
-  // A coarser picture's pixels are not to miss any splats either.
-  vec3 c = turned + (scale < 1.0 ? vec3(PS_LOW_PASS, 0.0, PS_LOW_PASS) : vec3(0.0));
+  vec3 c = turned + vec3(u.low_pass, 0.0, u.low_pass);
   float det = c.x * c.z - c.y * c.y;
-  float kept = scale < 1.0 ? scale * scale * sqrt((shape.x * shape.z - shape.y * shape.y) / det) : 1.0;
+  float kept = u.low_pass > 0.0 ? scale * scale * sqrt((shape.x * shape.z - shape.y * shape.y) / det) : 1.0;
   mat2 target_from_pixel = mat2(a, b, -b, a);
   v_centre = target_from_pixel * (centre.xy + u.principal_point) + u.origin;
   vec4 source = texelFetch(ps_source, at, 0);
   float rim = PS_RIM_SIGMA;
   v_source = vec4(source.rgb, kept * centre.w);
+#ifdef PS_DEPTHS
+  v_tint = texelFetch(ps_tint, at, 0).rgb;
+#endif
 #ifdef PS_CHANNEL
   v_source.w *= texelFetch(ps_tint, at, 0)[PS_CHANNEL];
 #endif

@@ -103,7 +103,7 @@ class Panes:
         draws = polygon_draws(device, panes, view, 0, None)
         if self._splats is not None:
             self._splats.look(view, len(weights) ** 0.5 // 2 + 2 * COARSE, coarse)
-        some = self._splats is not None and self._splats.found.some
+        some = self._splats is not None and self._splats.some
         last = 0 if some else None
         device.clear(self._state_targets[0])
         if draws:
@@ -199,12 +199,12 @@ class Panes:
         self, view: SampleView, buffer: VisibilityBuffer, groups: Groups, open_too: bool
     ) -> dict[str, Texture]:
         """Draws the translucent splats before what a buffer shows: see SplatsBeforePanes."""
-        if self._splats is None or not self._splats.found.some:
+        if self._splats is None or not self._splats.some:
             return {}
         return self._splats.draw(view, buffer, groups, open_too)
 
     def _compose(self, view: SampleView, textures: dict[str, Texture], target: Target) -> None:
-        found = NOTHING if self._splats is None else self._splats.found
+        found = NOTHING if self._splats is None else self._splats.found(open_too=False)
         program = compose_program(self._groups.places is not None, self._plan.term, found)
         bound = {**_listed(self._groups), **textures, "ps_numbers": self._numbers, "ps_depths": self._buffer.depths}
         record = view.record(COMPOSE, **self._buffer.values)
@@ -224,7 +224,7 @@ class Panes:
         name."""
         device, targets, lattice = self._device, self._targets, self._buffer.lattice
         behind = {} if targets.behind is None else {"ps_behind": targets.behind}
-        found = NOTHING if self._splats is None else self._splats.found
+        found = NOTHING if self._splats is None else self._splats.found(open_too=True)
         program = change_program(targets.behind is not None, targets.groups.places is not None, found)
         state, other = self._states[last], self._states[1 - last]
         textures = {**_listed(targets.groups), **behind, **shown, "ps_numbers": self._numbers}

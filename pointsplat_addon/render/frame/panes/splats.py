@@ -8,14 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from ....core.splat.kernel import SUPPORT
 from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ...passes.grouping.groups import Groups
 from ...passes.translucent.before_panes import (
+    DENSE,
     KEEP,
+    LOW_PASS,
     OPEN_LAYER,
     PLACE,
     PLACE_CELLS,
-    WHITE,
     Found,
     keep_program,
     place_cells_program,
@@ -28,23 +30,44 @@ from ...passes.uniforms import SampleView
 from ...passes.visibility.buffer import VisibilityBuffer
 from ...plan.plan import Plan
 
+BEFORE = 6.0  # standard deviations along a ray, see ps_below
 Run = Callable[[str, Callable[[], None]], None]  # runs a pass, and times it under a name
 
 
 @dataclass(eq=False)
+class _Where:
+    """Tiles, (rows, columns) bool, that splats touch."""
+
+    narrow: np.ndarray  # in which they are looked at in each sub-sample
+    wide: np.ndarray  # in which once for each group
+    mask: Texture  # of the narrow ones
+    low_pass: float  # of splats in the wide ones
+
+
+@dataclass(eq=False)
 class _Splats:
-    """The splats of one view, as the pass `light` left them, and where they are looked at."""
+    """The splats of one view, as the pass `light` left them, (N, 4) each, and where they are."""
 
-    centre: np.ndarray  # (N, 4)
-    shape: np.ndarray  # (N, 4)
-    narrow: np.ndarray  # (rows, columns) bool: tiles in which they are looked at in each sub-sample
-    wide: np.ndarray  # (rows, columns) bool: in which once for each group
+    centre: np.ndarray
+    shape: np.ndarray
+    nearest: np.ndarray  # (N,): depths before which they neither send nor hide anything
+    before_panes: _Where
+    before_opaque: _Where
 
-    def over(self, tiles: np.ndarray, view: SampleView) -> tuple[np.ndarray, float]:
-        """Returns which splats touch some of tiles (rows, columns) bool, (K,) int64, and the greatest sum of both axes'
-        variances, in square pixels."""
+    def over(self, tiles: np.ndarray, view: SampleView, farthest: float) -> tuple[np.ndarray, float]:
+        """Returns which splats touch some of tiles (rows, columns) bool and begin before the depth `farthest`, (K,)
+        int64, and the greatest sum of both axes' variances, in square pixels."""
         rows = splats_over(tiles, self.centre, self.shape, view.principal_point)
+        rows = rows[self.nearest[rows] < farthest]
         return rows, float((self.shape[rows, 0] + self.shape[rows, 2]).max(initial=0.0))
+
+
+def _nearest(centre: np.ndarray, shape: np.ndarray, front: np.ndarray) -> np.ndarray:
+    """Returns depths before which splats neither send nor hide anything, (N,), by shaders/translucent/blend.frag."""
+    with np.errstate(all="ignore"):
+        half = np.sqrt(SUPPORT * (np.maximum(shape[:, [0, 2]], 0) + LOW_PASS))
+        found = centre[:, 2] - BEFORE * front[:, 0] - (half * np.abs(front[:, 1:3])).sum(axis=1)
+        return np.where(np.isfinite(found), found, -np.inf)
 
 
 class SplatsBeforePanes:
@@ -52,8 +75,8 @@ class SplatsBeforePanes:
 
     Textures by sampler name: `ps_listed` has of each group of the layer that was drawn last the light of splats before
     it, and in w the share that they hide, where these are wide; `ps_cells` has the same of each cell where some are
-    narrow, and `ps_open` of what is open. Where the light that passes is coloured, `ps_cells_white` and `ps_open_white`
-    have what is seen of white and of the splats before it, and `ps_listed_hidden` what is hidden of each channel.
+    narrow, and `ps_open` of what is open. Where the light that passes is coloured, `ps_listed_depths` and the like have
+    optical depths of each channel.
     """
 
     @releases_on_failure
@@ -64,7 +87,7 @@ class SplatsBeforePanes:
         self.tint = plan.translucent.tint
         self._buffer_size, self._cells_size = buffer.size, buffer.cells
         self._owned: list[Any] = []
-        self._names = ("", "_white") if self.tint else ("",)
+        self._names = ("", "_depths") if self.tint else ("",)
         self._pixels = {name: self._texture(buffer.size, "RGBA32F") for name in self._names}
         self._pixel_targets = {name: self._target(texture) for name, texture in self._pixels.items()}
         self._open: dict[str, Texture] = {}
@@ -82,109 +105,124 @@ class SplatsBeforePanes:
         self._lists: dict[str, Texture] = {}
         self._list_target: Target | None = None
         self._seen: _Splats | None = None
-        self._narrow_mask: Texture | None = None
 
     def look(self, view: SampleView, around: float, coarse: bool) -> None:
         """Finds where splats are in a view of a tile. `around`: pixels around a splat that count as touched.
         `coarse`: they are drawn at a lower resolution, and looked at once for each group."""
-        centre, shape = (
+        centre, shape, front = (
             self._device.read(self._lit.textures[name]).reshape(-1, 4)[: self._lit.count]
-            for name in ("ps_centre", "ps_shape")
+            for name in ("ps_centre", "ps_shape", "ps_front")
         )
         where = view.principal_point, view.size, around
         touched = touched_tiles(centre, shape, *where)
         thin = are_narrow(shape, self._options.kernels) & (not coarse)
-        narrow = touched_tiles(centre[thin], shape[thin], *where) if thin.any() else np.zeros_like(touched)
-        self._seen = _Splats(centre, shape, narrow, touched & ~narrow)
+        found = []
+        for some, low_pass in ((thin & (centre[:, 3] > DENSE), LOW_PASS), (thin, 0.0)):
+            narrow = touched_tiles(centre[some], shape[some], *where) if some.any() else np.zeros_like(touched)
+            found.append((narrow, touched & ~narrow, low_pass if thin.any() else 0.0))
+        self._forget()
+        before = [_Where(narrow, wide, self._mask(narrow), low_pass) for narrow, wide, low_pass in found]
+        self._seen = _Splats(centre, shape, _nearest(centre, shape, front), *before)
         self._coarse_now = coarse
-        self._release_mask()
-        self._narrow_mask = self._mask(narrow)
 
     @property
-    def found(self) -> Found:
+    def some(self) -> bool:
+        """Whether there are splats in the tile."""
+        return self._found(self._where(open_too=True)).some
+
+    def found(self, open_too: bool) -> Found:
         """Where splats are, which programs that read what is drawn depend on."""
+        return self._found(self._where(open_too))
+
+    def _found(self, where: _Where) -> Found:
+        return Found(bool(where.narrow.any()), bool(where.wide.any()), self.tint)
+
+    def _where(self, open_too: bool) -> _Where:
         assert self._seen is not None
-        return Found(bool(self._seen.narrow.any()), bool(self._seen.wide.any()), self.tint)
+        return self._seen.before_opaque if open_too else self._seen.before_panes
 
     def draw(self, view: SampleView, buffer: VisibilityBuffer, groups: Groups, open_too: bool) -> dict[str, Texture]:
         """Draws the splats before what a buffer shows, and returns the textures that programs read: see Found.
 
         `groups`: of the buffer. `open_too`: all of them, too, where nothing is.
         """
-        assert self._seen is not None
-        seen, textures = self._seen, {}
-        if seen.narrow.any():
-            self._draw_cells(view, buffer, groups, open_too)
-            assert self._narrow_mask is not None
+        where, textures = self._where(open_too), {}
+        farthest = np.inf if open_too else self._farthest(view, groups)
+        if where.narrow.any():
+            self._draw_cells(view, buffer, groups, open_too, farthest)
             textures |= {f"ps_cells{name}": texture for name, texture in self._cells.items()}
-            textures["ps_narrow"] = self._narrow_mask
-        if seen.wide.any():
-            self._draw_layers(view, groups)
+            textures["ps_narrow"] = where.mask
+        if where.wide.any():
+            self._draw_layers(view, groups, where, farthest)
             textures |= self._lists
             if open_too:
-                self._draw_open(view, groups)
+                self._draw_open(view, groups, where)
                 textures |= {f"ps_open{name}": texture for name, texture in self._open.items()}
         return textures
 
+    def _farthest(self, view: SampleView, groups: Groups) -> float:
+        """The greatest depth of all groups."""
+        assert groups.leaders is not None
+        bits = self._device.read(groups.leaders.textures["ps_leader_depths"]).reshape(-1)[: groups.total]
+        return float(bits.view(np.float32).max(initial=0.0)) + view.camera.near
+
     # Wide splats
 
-    def _draw_layers(self, view: SampleView, groups: Groups) -> None:
+    def _draw_layers(self, view: SampleView, groups: Groups, where: _Where, farthest: float) -> None:
         """Draws splats up to the middle of each group of pixels in tiles that only wide ones touch."""
-        assert self._seen is not None
         assert groups.leaders is not None
         self._fit_lists(groups.leaders.size)
         assert self._list_target is not None
         self._device.clear(self._list_target)
-        for layer, where in enumerate(tiles_by_layer(groups.covered, self._seen.wide)):
-            if not where.any():
+        for layer, tiles in enumerate(tiles_by_layer(groups.covered, where.wide)):
+            if not tiles.any():
                 continue
-            self._draw_layer(view, groups, layer, where, self._pixel_targets)
+            self._draw_layer(view, groups, layer, tiles, self._pixel_targets, where.low_pass, farthest)
             self._run("keep", lambda layer=layer: self._keep(view, groups, layer))
 
-    def _draw_open(self, view: SampleView, groups: Groups) -> None:
+    def _draw_open(self, view: SampleView, groups: Groups, where: _Where) -> None:
         """Draws all splats where nothing is behind them."""
-        assert self._seen is not None
         if not self._open:
             self._open = {name: self._texture(self._buffer_size, "RGBA32F") for name in self._names}
             self._open_targets = {name: self._target(texture) for name, texture in self._open.items()}
-        where = tiles_by_layer(groups.layers - groups.covered, self._seen.wide)[0]
-        self._draw_layer(view, groups, OPEN_LAYER, where, self._open_targets)
+        tiles = tiles_by_layer(groups.layers - groups.covered, where.wide)[0]
+        self._draw_layer(view, groups, OPEN_LAYER, tiles, self._open_targets, where.low_pass, np.inf)
 
     def _draw_layer(
-        self, view: SampleView, groups: Groups, layer: int, where: np.ndarray, targets: dict[str, Target]
+        self,
+        view: SampleView,
+        groups: Groups,
+        layer: int,
+        tiles: np.ndarray,
+        targets: dict[str, Target],
+        low_pass: float,
+        farthest: float,
     ) -> None:
-        """Draws splats over nothing, and over white, up to the depth of a layer in tiles (rows, columns) bool."""
+        """Draws splats over nothing up to the depth of a layer in tiles (rows, columns) bool."""
         assert self._seen is not None
-        device, around = self._device, bounds(where)
-        rows, widest = self._seen.over(where, view)
-        wanted = self._mask(where)
+        device, around, run = self._device, bounds(tiles), self._run
+        rows, widest = self._seen.over(tiles, view, farthest)
+        wanted = self._mask(tiles)
         try:
-            self._run("expand", lambda: self._expand(view, groups, layer, wanted))
+            run("expand", lambda: self._expand(view, groups, layer, wanted))
         finally:
             wanted.release()
+        for target in targets.values():
+            device.clear(target)
+        if len(rows) == 0:
+            return
+        if self._coarse_now and (coarse := self._coarse_target) is not None:
+            device.clear(coarse)
+            run("translucent", lambda: self._lit.draw(coarse, view, self._place, COARSE, around))
+            textures = {"ps_coarse": self._coarse}
+            run("enlarge", lambda: device.draw(ENLARGE, targets[""], textures=textures, over=True))
+            return
+        where = view, self._place, (1.0, 0.0), (0.0, 0.0), rows, widest, around, low_pass
         for name, target in targets.items():
-            device.clear(target, WHITE if name else (0.0, 0.0, 0.0, 0.0))
-            if not where.any():
-                continue
-            if self._coarse_now and self._coarse_target is not None:
-                coarse = self._coarse_target
-                device.clear(coarse)
-                self._run(
-                    "translucent",
-                    lambda coarse=coarse: self._lit.draw(coarse, view, self._place, COARSE, around),
-                )
-                textures = {"ps_coarse": self._coarse}
-                self._run(
-                    "enlarge",
-                    lambda target=target, textures=textures: device.draw(ENLARGE, target, textures=textures, over=True),
-                )
-            else:
-                self._run(
-                    "translucent",
-                    lambda target=target: self._lit.draw_turned(
-                        target, view, self._place, (1.0, 0.0), (0.0, 0.0), rows, widest, around
-                    ),
-                )
+            run(
+                "translucent",
+                lambda name=name, target=target: self._lit.draw_turned(target, *where, depths=bool(name)),
+            )
 
     def _expand(self, view: SampleView, groups: Groups, layer: int, wanted: Texture) -> None:
         assert groups.leaders is not None
@@ -201,7 +239,7 @@ class SplatsBeforePanes:
         assert self._list_target is not None
         textures = {"ps_list": groups.leaders.list, "ps_layer": self._pixels[""]}
         if self.tint:
-            textures["ps_white"] = self._pixels["_white"]
+            textures["ps_layer_depths"] = self._pixels["_depths"]
         record = view.record(KEEP, layer=layer)
         self._device.draw(keep_program(self.tint), self._list_target, uniforms=record, textures=textures)
 
@@ -210,13 +248,15 @@ class SplatsBeforePanes:
         if self._lists and self._lists["ps_listed"].size == size:
             return
         self._release_lists()
-        for name in ("ps_listed", *(("ps_listed_hidden",) if self.tint else ())):
-            self._lists[name] = self._device.texture(size, "RGBA32F")
+        for name in self._names:
+            self._lists[f"ps_listed{name}"] = self._device.texture(size, "RGBA32F")
         self._list_target = self._device.target(list(self._lists.values()))
 
     # Narrow splats
 
-    def _draw_cells(self, view: SampleView, buffer: VisibilityBuffer, groups: Groups, open_too: bool) -> None:
+    def _draw_cells(
+        self, view: SampleView, buffer: VisibilityBuffer, groups: Groups, open_too: bool, farthest: float
+    ) -> None:
         """Draws splats up to the depth of each sub-sample in tiles that narrow ones touch."""
         assert self._seen is not None
         if not self._cells:
@@ -225,23 +265,23 @@ class SplatsBeforePanes:
             self._cell_place = self._texture(self._cells_size, "R32F")
             self._cell_place_target = self._target(self._cell_place)
         counts = groups.layers if open_too else groups.covered
-        where = tiles_by_layer(counts, self._seen.narrow)[0]
-        for name, target in self._cell_targets.items():
-            self._device.clear(target, WHITE if name else (0.0, 0.0, 0.0, 0.0))
-        if not where.any():
+        tiles = tiles_by_layer(counts, self._where(open_too).narrow)[0]
+        for target in self._cell_targets.values():
+            self._device.clear(target)
+        rows, widest = self._seen.over(tiles, view, farthest)
+        if len(rows) == 0:
             return
-        wanted = self._mask(where)
+        wanted = self._mask(tiles)
         try:
             self._run("expand", lambda: self._expand_cells(view, buffer, wanted, open_too))
         finally:
             wanted.release()
-        rows, widest = self._seen.over(where, view)
         p, q, *origin = buffer.values["lattice"]  # pyright: ignore[reportGeneralTypeIssues]
-        turned = (p, q), (origin[0], origin[1]), rows, widest
-        for target in self._cell_targets.values():
+        where = view, self._cell_place, (p, q), (origin[0], origin[1]), rows, widest
+        for name, target in self._cell_targets.items():
             self._run(
                 "translucent",
-                lambda target=target: self._lit.draw_turned(target, view, self._cell_place, *turned),
+                lambda name=name, target=target: self._lit.draw_turned(target, *where, depths=bool(name)),
             )
 
     def _expand_cells(self, view: SampleView, buffer: VisibilityBuffer, wanted: Texture, open_too: bool) -> None:
@@ -266,10 +306,12 @@ class SplatsBeforePanes:
         self._owned.append(found := self._device.target(textures))
         return found
 
-    def _release_mask(self) -> None:
-        if self._narrow_mask is not None:
-            self._narrow_mask.release()
-        self._narrow_mask = None
+    def _forget(self) -> None:
+        """Releases what is known of a view."""
+        if self._seen is not None:
+            self._seen.before_panes.mask.release()
+            self._seen.before_opaque.mask.release()
+        self._seen = None
 
     def _release_lists(self) -> None:
         for item in (*self._lists.values(), *(() if self._list_target is None else (self._list_target,))):
@@ -277,7 +319,7 @@ class SplatsBeforePanes:
         self._lists, self._list_target = {}, None
 
     def release(self) -> None:
-        self._release_mask()
+        self._forget()
         self._release_lists()
         for item in reversed(self._owned):
             item.release()

@@ -3,9 +3,11 @@
 With L(d) the light that splats send from nearer than d, over nothing, and T(d) the share of light that they let
 through, what lies between two depths sends L(b) - L(a), which passes the panes before it: P, the product of what these
 let through. A sum over such parts is one over depths (Abel): L(d) counts by the fall of P at the pane in d, and up to
-what is opaque by the last P. So all splats are drawn over nothing once for each layer of panes, up to its depths, and
-once up to what is opaque. Splats at least a pixel wide are looked at once for each group of sub-samples, at its
-middle's depth, narrower ones in each sub-sample.
+what is opaque by the last P. So splats are drawn over nothing once for each layer of panes, up to its depths, and once
+up to what is opaque. Before panes they are looked at once for each group of sub-samples, at its middle's depth, and
+what is narrower than a pixel is widened, its mass kept; only where such a splat hides much in itself, sub-samples look
+at it one by one, as they do before what is opaque. Where the light that passes is coloured, optical depths are added
+up, channel by channel.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ OPEN_LAYER = -1  # of what no group covers
 PLACE = block("PanePlace", CAMERA_FIELDS, (("int", "layer"),))
 PLACE_CELLS = block("PanePlaceCells", CAMERA_FIELDS, LATTICE_FIELDS)
 KEEP = block("PaneKeep", CAMERA_FIELDS, (("int", "layer"),))
-WHITE = (1.0, 1.0, 1.0, 0.0)  # what splats are drawn over once more, where the light that passes is coloured
+LOW_PASS = 0.25  # pixels^2: variance by which splats before panes are widened where one place in a pixel is not enough
+DENSE = 0.3  # optical depth through the middle of a splat from which that would hide too much
 CODES = (("UINT_2D", "ps_first"), ("UINT_2D", "ps_second"))
 
 
@@ -40,10 +43,10 @@ class Found:
 
     def samplers(self, open_too: bool) -> tuple[str, ...]:
         """Names of the textures of floats that are read; `open_too`: of what is open, too."""
-        white = ("", "_white") if self.tint else ("",)
-        cells = (*(f"ps_cells{name}" for name in white), "ps_narrow") if self.narrow else ()
-        lists = ("ps_listed", *(("ps_listed_hidden",) if self.tint else ())) if self.wide else ()
-        return *cells, *lists, *(f"ps_open{name}" for name in white if self.wide and open_too)
+        names = ("", "_depths") if self.tint else ("",)
+        cells = (*(f"ps_cells{name}" for name in names), "ps_narrow") if self.narrow else ()
+        lists = (*(f"ps_listed{name}" for name in names),) if self.wide else ()
+        return *cells, *lists, *(f"ps_open{name}" for name in names if self.wide and open_too)
 
     def defines(self, open_too: bool) -> tuple[tuple[str, str], ...]:
         """Of lib/translucent/before.glsl."""
@@ -77,10 +80,10 @@ def place_cells_program(open_too: bool) -> Interface:
 
 def keep_program(tint: bool) -> Interface:
     """Returns the program that brings what was drawn for a layer of pixels into the list of groups."""
-    names = ("ps_layer", *(("ps_white",) if tint else ()))
+    names = ("ps_layer", *(("ps_layer_depths",) if tint else ()))
     return Interface(
         "keep", fragment="panes/keep.frag", block=KEEP,
         samplers=(LIST_SAMPLER, *(("FLOAT_2D", name) for name in names)),
-        outputs=(("vec4", "out_listed"), *((("vec4", "out_listed_hidden"),) if tint else ())),
+        outputs=(("vec4", "out_listed"), *((("vec4", "out_listed_depths"),) if tint else ())),
         defines=(("PS_TINT", "1"),) if tint else (),
     )  # fmt: skip

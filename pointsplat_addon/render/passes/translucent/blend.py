@@ -10,6 +10,7 @@ from ..uniforms import CAMERA_FIELDS, block
 from .options import TranslucentOptions
 
 COARSE = 2  # pixels of the picture along a side of the coarse one's
+COARSE_LOW_PASS = 0.04  # pixels^2 of the coarse picture, which is not to miss any splats either
 Bounds = tuple[float, float, float, float]  # pixels: low and high corner
 CHANNELS = ("R", "GA", "B")  # drawn one after the other where extinction is coloured
 
@@ -21,8 +22,9 @@ _FIELDS = (
     ("vec2", "origin"),  # texels: where pixel coordinates (0, 0) lie in the target
     ("int", "first"),  # splat of the list
     ("float", "place"),  # texels of the target along one of the opaque depths
+    ("float", "low_pass"),  # texels^2: the variance by which splats are widened, their masses kept; 0: they are not
 )
-TURNED = ("bounds", "turn")  # what is read where some splats are no captured ones
+TURNED = ("bounds", "turn", "low_pass")  # what is read where some splats are no captured ones
 OPAQUE_DEPTH = block("OpaqueDepth", CAMERA_FIELDS)
 
 
@@ -33,9 +35,12 @@ def _block(options: TranslucentOptions) -> Block:
     return block("Blend", tuple(field for field in _FIELDS if field[1] not in unread))
 
 
-def draw_program(options: TranslucentOptions, channel: str, listed: bool = False, points: bool = False) -> Interface:
+def draw_program(
+    options: TranslucentOptions, channel: str, listed: bool = False, points: bool = False, depths: bool = False
+) -> Interface:
     """Returns the program that blends splats over the picture. `channel`: one of CHANNELS, or "" where all are
-    alike. `listed`: not all splats are drawn. `points`: each is a point, not two triangles."""
+    alike. `listed`: not all splats are drawn. `points`: each is a point, not two triangles. `depths`: their optical
+    depths are added up instead, channel by channel."""
     read = ["centre", "shape", "source", *(["front", "depth"] if options.opaque else [])]
     varyings = [("flat", "vec4", "v_conic"), ("flat", "vec4", "v_source"), ("flat", "vec2", "v_centre")]
     defines = []
@@ -67,6 +72,10 @@ def draw_program(options: TranslucentOptions, channel: str, listed: bool = False
     if options.holdout:
         outputs.append(("vec4", "out_cut"))
         defines.append(("PS_HOLDOUT", "1"))
+    if depths:
+        read.append("tint")
+        varyings.append(("flat", "vec3", "v_tint"))
+        defines.append(("PS_DEPTHS", "1"))
     if channel:
         read.append("tint")
         defines.append(("PS_CHANNEL", str("RGB".index(channel[0]))))

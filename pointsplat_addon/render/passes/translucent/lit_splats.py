@@ -12,7 +12,7 @@ from ....shading.interface import Interface
 from ...device.packing import PAGE_WIDTH, paged
 from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ..uniforms import SampleView
-from .blend import CHANNELS, Bounds, draw_program
+from .blend import CHANNELS, COARSE_LOW_PASS, Bounds, draw_program
 from .options import TranslucentOptions, lit_outputs
 
 CHUNK = 1 << 17  # splats of one draw: Blender wants a vertex buffer, if an empty one, of six vertices for each
@@ -85,6 +85,7 @@ class LitSplats:
         """
         rectangle = (0.0, 0.0, *target.colors[0].size) if bounds is None else tuple(side / pixels for side in bounds)
         where = {"turn": (1 / pixels, 0.0), "origin": (0.0, 0.0), "place": 1 / pixels, "bounds": rectangle}
+        where["low_pass"] = COARSE_LOW_PASS if pixels > 1 else 0.0
         listed, counts = dict(self.listed), None
         if self._options.tiled:
             assert tiles is not None
@@ -106,21 +107,24 @@ class LitSplats:
         rows: np.ndarray,
         variance: float,
         bounds: Bounds | None = None,
+        low_pass: float = 0.0,
+        depths: bool = False,
     ) -> None:
         """Blends some splats over a target whose texels are turned against the picture's pixels.
 
         `depth`: of what is opaque, one texel for each of the target's. `turn`: first column of the matrix that takes
         pixels to texels; `origin`: where pixel coordinates (0, 0) lie. rows: (K,) int64 of the splats, rising.
         `variance`: in square pixels, the sum of both axes' of the largest of these splats. `bounds`: in the target,
-        what lies outside of them is not wanted.
+        what lies outside of them is not wanted. `low_pass`: a variance in square texels by which
+        they are widened, their masses kept. `depths`: the optical depths of each channel are added up instead.
         """
         size, data = paged(np.column_stack([rows & (PAGE_WIDTH - 1), rows // PAGE_WIDTH]), 2)
         listed = self.device.texture(size, "RG32F", data)
         bounds = (0.0, 0.0, *target.colors[0].size) if bounds is None else bounds
-        where = {"turn": turn, "origin": origin, "place": 1.0, "bounds": bounds}
+        where = {"turn": turn, "origin": origin, "place": 1.0, "bounds": bounds, "low_pass": low_pass}
         try:
-            small = 2 * np.hypot(*turn) * (SUPPORT * variance) ** 0.5 <= WIDEST_POINT
-            self._draw(target, view, depth, where, len(rows), {"ps_listed": listed}, bool(small))
+            small = 2 * (SUPPORT * (np.hypot(*turn) ** 2 * variance + 2 * low_pass)) ** 0.5 <= WIDEST_POINT
+            self._draw(target, view, depth, where, len(rows), {"ps_listed": listed}, bool(small), depths)
         finally:
             listed.release()
 
@@ -133,19 +137,20 @@ class LitSplats:
         count: int,
         listed: Mapping[str, Texture],
         points: bool,
+        depths: bool = False,
     ) -> None:
         textures = {**self.textures, **self._profiles, **({} if depth is None else {"ps_depth": depth}), **listed}
         options = replace(self._options, opaque=self._options.opaque and depth is not None)
         if not options.opaque:
             textures.pop("ps_front", None)
-        for channel in self._channels:
-            program = draw_program(options, channel, "ps_listed" in listed, points)
+        for channel in ("",) if depths else self._channels:
+            program = draw_program(options, channel, "ps_listed" in listed, points, depths)
             for first in range(0, count, CHUNK):
                 record = view.record_of(program.block, size=target.colors[0].size, first=first, **where)
                 vertices = (1 if points else 3 if self._options.alone else 6) * min(CHUNK, count - first)
                 self.device.draw(
-                    program, target, uniforms=record, textures=textures, vertices=vertices, over=True,
-                    mask=channel or "RGBA", primitive="POINTS" if points else "TRIANGLES",
+                    program, target, uniforms=record, textures=textures, vertices=vertices, over=not depths,
+                    blend=depths, mask=channel or "RGBA", primitive="POINTS" if points else "TRIANGLES",
                 )  # fmt: skip
 
     def release(self) -> None:
