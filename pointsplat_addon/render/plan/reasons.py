@@ -209,6 +209,8 @@ def _of_translucent(plan: Plan, shadowed: bool, none: str) -> dict[str, str]:
         found["opaque depth"] = "the visibility buffer holds it"
     else:
         found |= dict.fromkeys(("expand", "difference"), "translucent splats are blended over each sample")
+    if plan.panes:
+        found["difference"] = "layers of panes tell what changes"
     if not plan.translucent.opaque:
         found["opaque depth"] = "nothing opaque hides what is translucent"
     if not plan.coarse:

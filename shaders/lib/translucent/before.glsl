@@ -11,13 +11,11 @@ struct PsBefore {
 };
 
 #ifdef PS_TINT
-#define PS_SEEN(name, at) ps_seen(texelFetch(name, at, 0), texelFetch(name##_depths, at, 0).rgb)
-PsBefore ps_seen(vec4 seen, vec3 depths)
+PsBefore ps_seen(vec4 seen, vec4 depths)
 {
-  return PsBefore(seen.rgb, 1.0 - exp(-depths));
+  return PsBefore(seen.rgb, 1.0 - exp(-depths.rgb));
 }
 #else
-#define PS_SEEN(name, at) ps_seen(texelFetch(name, at, 0))
 PsBefore ps_seen(vec4 seen)
 {
   return PsBefore(seen.rgb, vec3(seen.w));
@@ -29,18 +27,28 @@ PsBefore ps_before(ivec2 cell, ivec2 pixel, ivec2 entry, bool open)
 {
 #ifdef PS_IN_CELLS
   if (texelFetch(ps_narrow, pixel / PS_TILE, 0).x != 0.0) {
-    return PS_SEEN(ps_cells, cell);
+#ifdef PS_TINT
+    return ps_seen(texelFetch(ps_cells, cell, 0), texelFetch(ps_cells_depths, cell, 0));
+#else
+    return ps_seen(texelFetch(ps_cells, cell, 0));
+#endif
   }
 #endif
 #ifdef PS_OPEN_TOO
   if (open) {
-    return PS_SEEN(ps_open, pixel);
+#ifdef PS_TINT
+    return ps_seen(texelFetch(ps_open, pixel, 0), texelFetch(ps_open_depths, pixel, 0));
+#else
+    return ps_seen(texelFetch(ps_open, pixel, 0));
+#endif
   }
 #endif
-#ifdef PS_LISTED
-  return PS_SEEN(ps_listed, entry);
-#else
+#ifndef PS_LISTED
   return PsBefore(vec3(0.0), vec3(0.0));
+#elif defined(PS_TINT)
+  return ps_seen(texelFetch(ps_listed, entry, 0), texelFetch(ps_listed_depths, entry, 0));
+#else
+  return ps_seen(texelFetch(ps_listed, entry, 0));
 #endif
 }
 #endif

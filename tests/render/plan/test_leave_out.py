@@ -109,6 +109,14 @@ EXPECTED = {
     "visibility buffer, panes with functions": "shadow+maps polygons background compose add " + GROUPED,
     "visibility buffer, coloured panes, shadows of a wide light, too": "shadow+maps polygons background compose add "
     + GROUPED,
+    "visibility buffer, panes in smoke": "shadows shadow+maps order reach polygons background compose expand "
+    + BLENDED
+    + GROUPED,
+    "visibility buffer, panes in coloured smoke": "shadows shadow+maps order reach polygons background compose expand "
+    + BLENDED
+    + GROUPED,
+    "visibility buffer, panes in smoke, interactive": "shadows shadow+maps order reach polygons background compose "
+    "expand enlarge " + BLENDED + GROUPED,
     "visibility buffer, coloured smoke, shadows": "shadows order reach polygons background " + GROUPED + LAYERS,
     "visibility buffer, smoke and a cube, interactive": "order polygons background enlarge " + GROUPED + LAYERS,
     "visibility buffer, a cube in held out smoke": "order polygons background " + GROUPED + LAYERS,

@@ -73,7 +73,7 @@ def test_smoke_between_panes_counts_where_it_is(stack, wall, cells, depth):
     found, passes = picture(*(pane(*one) for one in STACKS[stack]), smoke(cells, depth), *behind)
     assert "compose" in passes  # they are layers of triangles
     error = found - expected(STACKS[stack], depth, wall)
-    assert np.abs(error).max() < 2e-3  # measured 1.7e-3, and 2.0e-3 of smoke without panes
+    assert np.abs(error).max() < 2e-3  # measured 1.9e-3; of smoke without panes 2.0e-3
     assert np.abs(error.mean(axis=(0, 1))).max() < 5e-4  # measured 3.5e-4
 
 
@@ -88,7 +88,7 @@ def test_the_edge_of_a_pane_within_smoke_shares_pixels(cells):
     share = (alone[..., 2] - bare[0, 2]) / (bare[1, 2] - bare[0, 2])
     assert ((share > 0.05) & (share < 0.95)).any()
     truth = sides[0] + share[..., None] * (sides[1] - sides[0])
-    assert np.abs(found[..., :3] - truth).max() < 1e-3  # measured 7.9e-4
+    assert np.abs(found[..., :3] - truth).max() < 1.5e-3  # measured 9.6e-4
 
 
 @pytest.mark.parametrize("cells", [8, 40], ids=["wide", "narrow"])

@@ -15,7 +15,16 @@ from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.materials import CoatTable, HairTable
 from pointsplat_addon.core.scene.world import Fog, World
 from pointsplat_addon.render.frame.visibility.occlusion import FEWEST_TRIANGLES
-from scripts.scenes import build, cameras, clouds, detailed_cases, lit_cases, meshes, solid_cases
+from scripts.scenes import (
+    build,
+    cameras,
+    clouds,
+    detailed_cases,
+    lit_cases,
+    meshes,
+    solid_cases,
+    translucent_cases,
+)
 from scripts.scenes.case import Case
 
 
@@ -136,6 +145,17 @@ def smoke_and_cube(holdout: bool = False) -> Case:
     )
     made = build.scene(*things, holdout=(True, False)) if holdout else build.scene(*things)
     return with_settings(Case(made, cameras.camera()), technique="VISIBILITY")
+
+
+def panes_in_smoke(extinction: float | tuple[float, float, float] = 1.0) -> Case:
+    """Panes and a cube in a ball of smoke, for the visibility buffer."""
+    made = translucent_cases.panes()
+    smoke = build.points(f"leave out: smoke of {extinction}", clouds.smoke_cloud(8, extinction)), build.moved()
+    things = [
+        (geometry, made.scene.instances.world_from_object[row]) for row, geometry in enumerate(made.scene.geometries)
+    ]
+    scene = build.scene(*things, smoke, table=made.scene.materials)
+    return with_settings(replace(made, scene=scene), technique="VISIBILITY")
 
 
 def mixed_materials() -> Case:

@@ -103,8 +103,7 @@ class Panes:
         draws = polygon_draws(device, panes, view, 0, None)
         if self._splats is not None:
             self._splats.look(view, len(weights) ** 0.5 // 2 + 2 * COARSE, coarse)
-        some = self._splats is not None and self._splats.some
-        last = 0 if some else None
+        last = None if self._splats is None else 0
         device.clear(self._state_targets[0])
         if draws:
             cover = PolygonCover(device, draws, self._buffer, self._plan.variant.normal, (FOLLOWING, OPAQUE))
@@ -127,6 +126,8 @@ class Panes:
             self._run("group", lambda: self._group(view, cover))
             if self._groups.total == 0:
                 return None if layer == 0 else current
+            if layer == 0 and self._splats is not None:
+                self._splats.note_panes(self._groups)
             assert self._groups.leaders is not None
             leaders = self._groups.leaders
             lists = self._targets.lists_of_panes(leaders.size)
@@ -199,7 +200,7 @@ class Panes:
         self, view: SampleView, buffer: VisibilityBuffer, groups: Groups, open_too: bool
     ) -> dict[str, Texture]:
         """Draws the translucent splats before what a buffer shows: see SplatsBeforePanes."""
-        if self._splats is None or not self._splats.some:
+        if self._splats is None:
             return {}
         return self._splats.draw(view, buffer, groups, open_too)
 

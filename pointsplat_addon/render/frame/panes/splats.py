@@ -40,7 +40,7 @@ class _Where:
 
     narrow: np.ndarray  # in which they are looked at in each sub-sample
     wide: np.ndarray  # in which once for each group
-    mask: Texture  # of the narrow ones
+    mask: Texture | None  # of the narrow ones; None: there are none
     low_pass: float  # of splats in the wide ones
 
 
@@ -59,6 +59,7 @@ class _Splats:
         int64, and the greatest sum of both axes' variances, in square pixels."""
         rows = splats_over(tiles, self.centre, self.shape, view.principal_point)
         rows = rows[self.nearest[rows] < farthest]
+        rows = rows if len(rows) else np.arange(min(len(self.centre), 1))  # what is planned is drawn
         return rows, float((self.shape[rows, 0] + self.shape[rows, 2]).max(initial=0.0))
 
 
@@ -115,26 +116,35 @@ class SplatsBeforePanes:
         )
         where = view.principal_point, view.size, around
         touched = touched_tiles(centre, shape, *where)
+        touched[0, 0] |= not touched.any()  # what is planned is drawn
         thin = are_narrow(shape, self._options.kernels) & (not coarse)
-        found = []
-        for some, low_pass in ((thin & (centre[:, 3] > DENSE), LOW_PASS), (thin, 0.0)):
-            narrow = touched_tiles(centre[some], shape[some], *where) if some.any() else np.zeros_like(touched)
-            found.append((narrow, touched & ~narrow, low_pass if thin.any() else 0.0))
+        dense, thin_tiles = (
+            touched_tiles(centre[some], shape[some], *where) if some.any() else np.zeros_like(touched)
+            for some in (thin & (centre[:, 3] > DENSE), thin)
+        )
         self._forget()
-        before = [_Where(narrow, wide, self._mask(narrow), low_pass) for narrow, wide, low_pass in found]
-        self._seen = _Splats(centre, shape, _nearest(centre, shape, front), *before)
+        low_pass = LOW_PASS if thin.any() else 0.0
+        before_panes = _Where(dense, touched & ~dense, self._narrow_mask(dense), low_pass)
+        before_opaque = _Where(thin_tiles, touched & ~thin_tiles, self._narrow_mask(thin_tiles), low_pass)
+        self._seen = _Splats(centre, shape, _nearest(centre, shape, front), before_panes, before_opaque)
         self._coarse_now = coarse
 
-    @property
-    def some(self) -> bool:
-        """Whether there are splats in the tile."""
-        return self._found(self._where(open_too=True)).some
+    def note_panes(self, groups: Groups) -> None:
+        """Takes note of where the nearest panes are: before what is opaque there, splats are looked at as before these.
+
+        `groups`: of the first layer.
+        """
+        assert self._seen is not None
+        seen, touched = self._seen, self._seen.before_opaque.narrow
+        narrow = seen.before_panes.narrow | (touched & ~tiles_by_layer(groups.covered, touched)[0])
+        wide = (seen.before_opaque.wide | touched) & ~narrow
+        if seen.before_opaque.mask is not None:
+            seen.before_opaque.mask.release()
+        seen.before_opaque = _Where(narrow, wide, self._narrow_mask(narrow), seen.before_panes.low_pass)
 
     def found(self, open_too: bool) -> Found:
         """Where splats are, which programs that read what is drawn depend on."""
-        return self._found(self._where(open_too))
-
-    def _found(self, where: _Where) -> Found:
+        where = self._where(open_too)
         return Found(bool(where.narrow.any()), bool(where.wide.any()), self.tint)
 
     def _where(self, open_too: bool) -> _Where:
@@ -150,6 +160,7 @@ class SplatsBeforePanes:
         farthest = np.inf if open_too else self._farthest(view, groups)
         if where.narrow.any():
             self._draw_cells(view, buffer, groups, open_too, farthest)
+            assert where.mask is not None
             textures |= {f"ps_cells{name}": texture for name, texture in self._cells.items()}
             textures["ps_narrow"] = where.mask
         if where.wide.any():
@@ -178,7 +189,7 @@ class SplatsBeforePanes:
             if not tiles.any():
                 continue
             self._draw_layer(view, groups, layer, tiles, self._pixel_targets, where.low_pass, farthest)
-            self._run("keep", lambda layer=layer: self._keep(view, groups, layer))
+            self._run("compose", lambda layer=layer: self._keep(view, groups, layer))
 
     def _draw_open(self, view: SampleView, groups: Groups, where: _Where) -> None:
         """Draws all splats where nothing is behind them."""
@@ -209,8 +220,6 @@ class SplatsBeforePanes:
             wanted.release()
         for target in targets.values():
             device.clear(target)
-        if len(rows) == 0:
-            return
         if self._coarse_now and (coarse := self._coarse_target) is not None:
             device.clear(coarse)
             run("translucent", lambda: self._lit.draw(coarse, view, self._place, COARSE, around))
@@ -269,8 +278,6 @@ class SplatsBeforePanes:
         for target in self._cell_targets.values():
             self._device.clear(target)
         rows, widest = self._seen.over(tiles, view, farthest)
-        if len(rows) == 0:
-            return
         wanted = self._mask(tiles)
         try:
             self._run("expand", lambda: self._expand_cells(view, buffer, wanted, open_too))
@@ -298,6 +305,10 @@ class SplatsBeforePanes:
         size = tiles.shape[1], tiles.shape[0]
         return self._device.texture(size, "R32F", tiles.astype(np.float32).reshape(-1))
 
+    def _narrow_mask(self, tiles: np.ndarray) -> Texture | None:
+        """The same; None where there are none."""
+        return self._mask(tiles) if tiles.any() else None
+
     def _texture(self, size: tuple[int, int], format: str) -> Texture:
         self._owned.append(found := self._device.texture(size, format))
         return found
@@ -309,8 +320,9 @@ class SplatsBeforePanes:
     def _forget(self) -> None:
         """Releases what is known of a view."""
         if self._seen is not None:
-            self._seen.before_panes.mask.release()
-            self._seen.before_opaque.mask.release()
+            for where in (self._seen.before_panes, self._seen.before_opaque):
+                if where.mask is not None:
+                    where.mask.release()
         self._seen = None
 
     def _release_lists(self) -> None:

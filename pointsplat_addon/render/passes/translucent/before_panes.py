@@ -4,10 +4,10 @@ With L(d) the light that splats send from nearer than d, over nothing, and T(d) 
 through, what lies between two depths sends L(b) - L(a), which passes the panes before it: P, the product of what these
 let through. A sum over such parts is one over depths (Abel): L(d) counts by the fall of P at the pane in d, and up to
 what is opaque by the last P. So splats are drawn over nothing once for each layer of panes, up to its depths, and once
-up to what is opaque. Before panes they are looked at once for each group of sub-samples, at its middle's depth, and
+up to what is opaque. Where panes are they are looked at once for each group of sub-samples, at its middle's depth, and
 what is narrower than a pixel is widened, its mass kept; only where such a splat hides much in itself, sub-samples look
-at it one by one, as they do before what is opaque. Where the light that passes is coloured, optical depths are added
-up, channel by channel.
+at it one by one, as they do where no panes are. Where the light that passes is coloured, optical depths are added up,
+channel by channel.
 """
 
 from __future__ import annotations
@@ -36,11 +36,6 @@ class Found:
     wide: bool  # in some once for each group
     tint: bool  # what they hide differs between the channels
 
-    @property
-    def some(self) -> bool:
-        """Whether there are any."""
-        return self.narrow or self.wide
-
     def samplers(self, open_too: bool) -> tuple[str, ...]:
         """Names of the textures of floats that are read; `open_too`: of what is open, too."""
         names = ("", "_depths") if self.tint else ("",)
@@ -52,7 +47,8 @@ class Found:
         """Of lib/translucent/before.glsl."""
         flags = {"PS_IN_CELLS": self.narrow, "PS_LISTED": self.wide, "PS_OPEN_TOO": self.wide and open_too}
         flags |= {"PS_TINT": self.tint}
-        return (TILE_DEFINE, *((name, "1") for name, on in flags.items() if on)) if self.some else ()
+        tile = (TILE_DEFINE,) if self.narrow else ()
+        return *tile, *((name, "1") for name, on in flags.items() if on)
 
 
 NOTHING = Found(False, False, False)
@@ -82,7 +78,7 @@ def keep_program(tint: bool) -> Interface:
     """Returns the program that brings what was drawn for a layer of pixels into the list of groups."""
     names = ("ps_layer", *(("ps_layer_depths",) if tint else ()))
     return Interface(
-        "keep", fragment="panes/keep.frag", block=KEEP,
+        "compose", fragment="panes/keep.frag", block=KEEP,
         samplers=(LIST_SAMPLER, *(("FLOAT_2D", name) for name in names)),
         outputs=(("vec4", "out_listed"), *((("vec4", "out_listed_depths"),) if tint else ())),
         defines=(("PS_TINT", "1"),) if tint else (),
