@@ -66,6 +66,20 @@ def panes() -> Case:
     )
 
 
+def panes_in_smoke(extinction: float | tuple[float, float, float] = 1.0) -> Case:
+    """The panes and the cube in a ball of smoke, for the visibility buffer."""
+    made = panes()
+    smoke = points(f"smoke about panes {extinction}", smoke_cloud(8, extinction)), moved()
+    things = zip(made.scene.geometries, made.scene.instances.world_from_object, strict=True)
+    everything = scene(*things, smoke, table=made.scene.materials)
+    return replace(made, scene=everything, settings=replace(made.settings, technique="VISIBILITY"))
+
+
+def panes_in_coloured_smoke() -> Case:
+    """The same in smoke whose extinction is coloured."""
+    return panes_in_smoke((0.5, 1.0, 3.0))
+
+
 def panes_of_functions() -> Case:
     """The panes, whose alpha changes along an axis, and of one the colour, too."""
     plain = panes()

@@ -49,7 +49,6 @@ from tests.support.leave_out.scenes import (
     one_light,
     painted_picture,
     pane,
-    panes_in_smoke,
     picture_only,
     ribbon,
     rough_picture,
@@ -192,9 +191,9 @@ ROWS: dict[str, Row] = {
     "visibility buffer, coloured panes, shadows of a wide light, too": Row(
         lambda: with_settings(translucent_cases.tinted_panes(), technique="VISIBILITY")
     ),
-    "visibility buffer, panes in smoke": Row(panes_in_smoke),
-    "visibility buffer, panes in coloured smoke": Row(lambda: panes_in_smoke((0.5, 1.0, 3.0))),
-    "visibility buffer, panes in smoke, interactive": Row(panes_in_smoke, interactive=True),
+    "visibility buffer, panes in smoke": Row(translucent_cases.panes_in_smoke),
+    "visibility buffer, panes in coloured smoke": Row(translucent_cases.panes_in_coloured_smoke),
+    "visibility buffer, panes in smoke, interactive": Row(translucent_cases.panes_in_smoke, interactive=True),
     "visibility buffer, coloured smoke, shadows": Row(
         lambda: with_settings(translucent_cases.tinted_smoke(), technique="VISIBILITY")
     ),

@@ -23,7 +23,6 @@ from scripts.scenes import (
     lit_cases,
     meshes,
     solid_cases,
-    translucent_cases,
 )
 from scripts.scenes.case import Case
 
@@ -145,17 +144,6 @@ def smoke_and_cube(holdout: bool = False) -> Case:
     )
     made = build.scene(*things, holdout=(True, False)) if holdout else build.scene(*things)
     return with_settings(Case(made, cameras.camera()), technique="VISIBILITY")
-
-
-def panes_in_smoke(extinction: float | tuple[float, float, float] = 1.0) -> Case:
-    """Panes and a cube in a ball of smoke, for the visibility buffer."""
-    made = translucent_cases.panes()
-    smoke = build.points(f"leave out: smoke of {extinction}", clouds.smoke_cloud(8, extinction)), build.moved()
-    things = [
-        (geometry, made.scene.instances.world_from_object[row]) for row, geometry in enumerate(made.scene.geometries)
-    ]
-    scene = build.scene(*things, smoke, table=made.scene.materials)
-    return with_settings(replace(made, scene=scene), technique="VISIBILITY")
 
 
 def mixed_materials() -> Case:
