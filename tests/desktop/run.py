@@ -232,9 +232,13 @@ def indirect(folder):
             area.tag_redraw()
             yield 0.1
         view.view_camera_offset = 0, 0
+        area.tag_redraw()
+        yield 0.1
+        moving = difference(lit, shoot(folder, "indirect_moving"))
+        check(moving < difference(without, lit) / 2, "and stays while it moves")
         yield from rest(meter, area)
         again = difference(lit, shoot(folder, "indirect_again"))
-        check(again < difference(without, lit) / 10, "and comes again once it has moved")
+        check(again < difference(without, lit) / 10, "and is gathered again once it has moved")
     finally:
         meter.end()
     settings.use_indirect, background.default_value = False, strength

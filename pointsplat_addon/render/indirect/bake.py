@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator
+from dataclasses import replace
 
 import numpy as np
 
+from ...core.indirect.around import LightAt, joined, thinned
 from ...core.indirect.media import MediaGrid
 from ...core.indirect.sites import hashed
 from ...core.indirect.surfels import Surfels
@@ -29,6 +31,7 @@ THINNER = 0.25  # along the normal
 ALIKE = 0.9  # cosine between normals of surfels and of receivers next to theirs that light them, too
 SMALLEST_SHARE = 10.0  # percent of surfels that are smaller than what is told apart
 TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], np.float32) / np.float32(3**0.5)
+KNOWN_APART = 3.0  # times as far as surfels are those places apart of which it is kept what falls on them
 LIFTED = 0.05  # radii of a surfel, by which its receiver lies above it
 
 
@@ -137,6 +140,7 @@ class Baker:
         # All further light is even, and gathered at fewer.
         fewer = bounce_receivers(at, MOST_BOUNCE_RECEIVERS // FEWER)
         some, gain, now = at.take(fewer.rows), found, np.zeros(3)
+        falls = [found.surfels[..., :3]]
         for number in range(1, bounces):
             sends = self._scattered(receivers, gain)
             if number == bounces - 1:
@@ -152,7 +156,9 @@ class Baker:
             gathered = yield from self._gathered(some, sends, 0.0)
             gain = Received(fewer.spread(gathered.surfels), gathered.media)
             total = total + self._scattered(receivers, gain)
-        return (yield from self._finished(total))
+            falls.append(gain.surfels[..., :3])
+        baked = yield from self._finished(total)
+        return replace(baked, received=_received(self._surfels, receivers, falls))
 
     @property
     def _shining(self) -> np.ndarray:
@@ -256,6 +262,27 @@ class Baker:
         if self._light is not None:
             self._light.release()
         self._light = None
+
+
+def _received(surfels: Surfels, receivers: BounceReceivers, falls: list[np.ndarray]) -> np.ndarray:
+    """(K, 10) float32: `received` of BakedLight, by what falls on receivers: the sum of `falls` (2, R, 3), and of one
+    more, which gathers of pictures add."""
+    if len(falls) < 2:
+        return np.zeros((0, 10), np.float32)  # lamps' light would be missing
+    before, last = (float(one.sum(dtype=float)) for one in falls[-2:])
+    more = min(last / max(before, 1e-30), MOST_LEFT)
+    light = receivers.spread(np.sum(falls, axis=0) + np.float32(more) * falls[-1])
+    inside = ~surfels.closed & surfels.normal.any(axis=1)
+    parts = []
+    for side, sign, shown in ((0, 1, slice(None)), (1, -1, inside)):
+        normal = np.float64(sign) * surfels.normal[shown]
+        found = np.zeros((len(normal), 8), np.float32)
+        found[:, :3] = light[side][shown]
+        level = 0.5 * np.log2(np.maximum(surfels.area[shown], 1e-30))
+        place, none = surfels.position[shown].astype(np.float64), np.zeros(len(normal), bool)
+        parts.append(LightAt(place, normal, level, found, none))
+    few = thinned(joined(parts), KNOWN_APART)
+    return np.column_stack([few.position, few.normal, few.found[:, :3], few.level]).astype(np.float32)
 
 
 def _not_of_lamps(found: np.ndarray, weight: np.ndarray, shines: np.ndarray, lit: np.ndarray) -> float:
