@@ -81,9 +81,12 @@ class Baker:
         lighting: tuple[str, ...],
         bounces: int,
         media: MediaGrid | None = None,
+        apart: np.ndarray | None = None,
     ) -> None:
-        """`lighting`: PS_ names of lamps, shadows and the sky."""
+        """`lighting`: PS_ names of lamps, shadows and the sky. `apart` (N,): how far apart surfels would be at least that
+        light is not told apart on; None: no farther than they are."""
         self._scene, self._surfels, self._bounces, self._media = scene, surfels, bounces, media
+        self._apart = np.zeros(len(surfels)) if apart is None else apart
         self._names = world_names(lighting)
         self._lamps = tuple(name for name in lighting if name not in self._names)
         self._tree = build_tree(surfels) if len(surfels) else None
@@ -129,7 +132,7 @@ class Baker:
         if bounces == 0:
             return (yield from self._finished(shines))
         direct = self._direct()
-        receivers = bounce_receivers(self._surfels, MOST_BOUNCE_RECEIVERS)
+        receivers = bounce_receivers(self._surfels, MOST_BOUNCE_RECEIVERS, self._apart)
         at = self._surfels.take(receivers.rows)
         # What lamps light is bright in places: it is gathered together with the sky, so that it is a
         # bounce ahead of what the sky lights.
@@ -138,7 +141,7 @@ class Baker:
         found = yield from self._gathered(at, shines + lit, 1.0)
         total = shines + direct + self._scattered(receivers, found)
         # All further light is even, and gathered at fewer.
-        fewer = bounce_receivers(at, MOST_BOUNCE_RECEIVERS // FEWER)
+        fewer = bounce_receivers(at, MOST_BOUNCE_RECEIVERS // FEWER, self._apart[receivers.rows])
         some, gain, now = at.take(fewer.rows), found, np.zeros(3)
         falls = [found.surfels[..., :3]]
         for number in range(1, bounces):
@@ -300,8 +303,9 @@ def _share(sends: np.ndarray, total: np.ndarray) -> float:
     return float((sends.sum(axis=(0, 2)) / np.maximum(of_all + np.median(of_all), 1e-30)).mean())
 
 
-def bounce_receivers(surfels: Surfels, most: int) -> BounceReceivers:
-    """Chooses about `most` sides of surfels, at which light is gathered for all."""
+def bounce_receivers(surfels: Surfels, most: int, apart: np.ndarray) -> BounceReceivers:
+    """Chooses about `most` sides of surfels, at which light is gathered for all. `apart` (N,): those that are smaller
+    count as that large, else pieces of fine meshes would take nearly all receivers, and large floors none."""
     if len(surfels) == 0:
         none = np.zeros((4, 0), np.int64)
         return BounceReceivers(none[0], none, none.astype(np.float32))
@@ -311,11 +315,12 @@ def bounce_receivers(surfels: Surfels, most: int) -> BounceReceivers:
     # Surfels are the larger the farther off they are, and so are the cells that share a receiver. These are
     # flat, thin along the axis that normals are turned to, so that surfaces behind one another do not share one.
     whole = surfels.area * np.where(surfels.half, 2, 1)
-    size = np.sqrt(np.maximum(whole, np.percentile(whole, SMALLEST_SHARE)))
+    size = np.maximum(np.sqrt(np.maximum(whole, np.percentile(whole, SMALLEST_SHARE))), apart)
     across = np.exp2(np.ceil(np.log2(size)))[:, None]
     thin = np.where(np.abs(SIDE_AXES.T[face]) > 0.5, THINNER, 1.0)
     away = surfels.position - surfels.position.min(axis=0)
-    scale = max((np.count_nonzero(~surfels.closed) + len(surfels)) / most, 1.0) ** 0.5
+    fills = np.minimum(whole / np.maximum(apart * apart, 1e-30), 1.0)  # of a cell
+    scale = max(float((fills * np.where(surfels.closed, 1, 2)).sum()) / most, 1.0) ** 0.5
     while True:
         at = away / (scale * thin * across)
         cell = np.floor(at)

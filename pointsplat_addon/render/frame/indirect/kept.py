@@ -62,7 +62,10 @@ def kept_light(
         checked = check if slices.endless else lambda: None
         surfels = scene_surfels(scene, density, origin, store, checked)
         media = scene_media(scene, usable_instances(scene), origin, checked)
-        return Baker(scene, surfels, lighting, bounces, media) if len(surfels) or media is not None else None
+        if not len(surfels) and media is None:
+            return None
+        apart = density.seen_at(surfels.position, origin)
+        return Baker(scene, surfels, lighting, bounces, media, apart)
 
     def bake() -> BakedLight:
         if not slices.endless and not store.made_later(of_baker, make_baker):
