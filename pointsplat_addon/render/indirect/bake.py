@@ -83,8 +83,8 @@ class Baker:
         media: MediaGrid | None = None,
         apart: np.ndarray | None = None,
     ) -> None:
-        """`lighting`: PS_ names of lamps, shadows and the sky. `apart` (N,): how far apart surfels would be at least that
-        light is not told apart on; None: no farther than they are."""
+        """`lighting`: PS_ names of lamps, shadows and the sky. `apart` (N,): smaller surfels count as that large where
+        receivers are chosen; None: all count as large as they are."""
         self._scene, self._surfels, self._bounces, self._media = scene, surfels, bounces, media
         self._apart = np.zeros(len(surfels)) if apart is None else apart
         self._names = world_names(lighting)

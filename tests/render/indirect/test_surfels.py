@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.indirect.surfels import Surfels, joined as joined_surfels
+from pointsplat_addon.core.indirect.surfels import Surfels
+from pointsplat_addon.core.indirect.surfels import joined as joined_surfels
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.indirect.bake import bounce_receivers
 from pointsplat_addon.render.indirect.surfels import MANY_INSTANCES, scene_density, scene_surfels
