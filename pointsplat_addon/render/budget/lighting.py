@@ -34,7 +34,8 @@ class KnownLight:
 
     def is_of(self, renderer: SampleRenderer, scene: Scene, settings: Settings) -> bool:
         """Whether it is the light of what a view shows, wherever its camera is."""
-        if settings != self._settings or renderer.kept is not self._kept or self.light.key not in self._kept:
+        key = self.light.key
+        if settings != self._settings or renderer.kept is not self._kept or key is None or key not in self._kept:
             return False
         if scene is not self._scene:
             if scene_content(scene, renderer.store) != self._content:

@@ -9,7 +9,9 @@ from pointsplat_addon.core.indirect.sites import sites
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def known(position: np.ndarray, normal: np.ndarray, level: float, light: np.ndarray, smooth: bool = False) -> LightAt:
+def known(
+    position: np.ndarray, normal: np.ndarray, level: float, light: np.ndarray | float, smooth: bool = False
+) -> LightAt:
     count = len(position)
     found = np.zeros((count, 8), np.float32)
     found[:, :3] = light
@@ -98,11 +100,11 @@ def test_any_scale(times):
     """Worlds of other units have the same light, to the bit where they differ by powers of two."""
     at, exponent = floor(-2.0), np.log2(times)
     light = 1 + at[:, :1] * at[:, 1:2]
-    found = [
+    one, other = (
         estimated(LightAround(known(at * by, UP, -2.0 + up, light)), asked() * by, -3.0 + up)
         for by, up in ((1.0, 0.0), (times, exponent))
-    ]
-    np.testing.assert_array_equal(*found)
+    )
+    np.testing.assert_array_equal(one, other)
 
 
 def test_of_cells_their_means_are_left():
