@@ -15,7 +15,7 @@ from ..core.scene import camera as camera_module
 from ..core.scene import scene as scene_module
 from ..core.scene import settings as settings_module
 from ..core.splat.pixel_radii import with_pixel_radii
-from ..render.budget.lighting import Lighting
+from ..render.budget.lighting import KnownLight, Lighting
 from ..render.budget.viewport import Moving, PixelPace, Refining, wait
 from ..render.device.protocol import DeviceError
 from ..render.frame.frame import Frame
@@ -45,9 +45,10 @@ class Viewport:
         self.synchronizer = Synchronizer()
         self._scene: scene_module.Scene | None = None
         self._frame: Frame | None = None
-        self._view: tuple | None = None  # what the frame depends on besides the scene
+        self._view: tuple | None = None  # what the frame depends on besides the scene, settings first
         self._pacing: Moving | Refining | None = None  # keeps the frame within its budget
         self._lighting: Lighting | None = None  # brings indirect light into a view that stands still
+        self._known: KnownLight | None = None  # by which views are lit until then
         self._coarse = False
         self._pace = PixelPace()
         self._changed_at = float("-inf")
@@ -58,6 +59,7 @@ class Viewport:
     def __del__(self) -> None:
         # The viewport ends with its engine, whose own struct Blender has freed by then.
         self._drop()
+        self._forget_light()
 
     def update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Convert what changed in the scene."""
@@ -84,6 +86,7 @@ class Viewport:
     def release(self) -> None:
         """Free what is on the device; the next drawing converts the scene again."""
         self._drop()
+        self._forget_light()
         self._scene = self._view = None
 
     def _draw(self, engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
@@ -121,9 +124,23 @@ class Viewport:
         if lighting.done:
             self._lighting = None
             if lighting.frame is not None:
+                self._keep_light(lighting.frame)
                 frame.release()
                 frame = self._frame = lighting.frame
         return frame, not lighting.done
+
+    def _keep_light(self, frame: Frame) -> None:
+        """Keeps the light of a picture that has gathered it, for views that move and for the next picture until its
+        own light is there."""
+        self._forget_light()
+        light = frame.indirect
+        if light is not None and light.tells and self._scene is not None and self._view is not None:
+            self._known = KnownLight(MAIN_GPU.renderer(), self._scene, self._view[0], light)
+
+    def _forget_light(self) -> None:
+        if self._known is not None:
+            self._known.release()
+        self._known = None
 
     def _frame_for(
         self, scene: scene_module.Scene, camera: camera_module.Camera, settings: settings_module.Settings, pixel: int
@@ -131,7 +148,7 @@ class Viewport:
         """The frame that accumulates this view: coarse after a change, fine once nothing has moved for a while."""
         now = time.perf_counter()
         view = (
-            camera.view_from_world.tobytes(), camera.clip_from_view.tobytes(), camera.window, camera.aperture, settings,
+            settings, camera.view_from_world.tobytes(), camera.clip_from_view.tobytes(), camera.window, camera.aperture,
             pixel,
         )  # fmt: skip
         if self._frame is None or view != self._view:
@@ -145,10 +162,12 @@ class Viewport:
         else:
             return self._frame
         self._drop()
+        renderer, with_indirect = MAIN_GPU.renderer(), settings.use_indirect
+        if self._known is not None and not self._known.is_of(renderer, scene, settings):
+            self._forget_light()
         scene = with_pixel_radii(scene, camera)
         camera = camera.with_coarser_pixels(pixel)
-        renderer, with_indirect = MAIN_GPU.renderer(), settings.use_indirect
-        settings = replace(settings, use_indirect=False)
+        settings = replace(settings, use_indirect=self._known is not None)
         request = Request(
             camera,
             settings,
@@ -181,7 +200,7 @@ class Viewport:
             lit = replace(request, settings=replace(request.settings, use_indirect=True))
             again = Refining(lit) if isinstance(self._pacing, Refining) else None
             self._lighting = Lighting(renderer, scene, lit, Frame.sample if again is None else again.sample)
-        self._frame = renderer.start(scene, request)
+        self._frame = renderer.start(scene, request, known=None if self._known is None else self._known.light)
         return self._frame
 
     def _reads_pages(self, scene: scene_module.Scene) -> bool:

@@ -20,6 +20,7 @@ from .frame.frame import Frame
 from .frame.report import report
 from .frame.targets import Pool
 from .indirect.known_sites import Slices
+from .indirect.light import IndirectLight
 from .light_passes import Light, light_passes
 from .passes.outputs import OF_LIGHT
 from .passes.shading.terms import ENVIRONMENT, Term
@@ -149,13 +150,15 @@ class Renderer:
         report["passes"] = [*report["passes"], {"name": "light passes", "ms": round(1000 * seconds, 3)}]
         return replace(result, pixels={**result.pixels, **found}, report=report)
 
-    def start(self, scene: Scene, request: Request, slices: Slices | None = None) -> Frame:
+    def start(
+        self, scene: Scene, request: Request, slices: Slices | None = None, known: IndirectLight | None = None
+    ) -> Frame:
         """Returns a frame without samples; the caller draws them one by one and releases it.
 
         `slices`: in which indirect light is gathered; None: all at once. Cancelled: gathering was put off; what was
-        gathered is kept for the next frame.
+        gathered is kept for the next frame. `known`: nothing is gathered, but estimated from this light of the scene.
         """
-        frame = Frame(self, scene, request, presented=True, slices=slices)
+        frame = Frame(self, scene, request, presented=True, slices=slices, known=known)
         frame.clock.slow = False
         return frame
 

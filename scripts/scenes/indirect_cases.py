@@ -83,4 +83,33 @@ def under_smoke() -> Case:
     return Case(lit, camera((0.4, -3.0, 0.6)), replace(SETTINGS, shadow_resolution=64))
 
 
+def in_a_room() -> Case:
+    """A closed room under a sky, whose light is a glowing block at its ceiling, with a red cube in it."""
+    looks = {"base_color": [[0.7, 0.7, 0.65], [0.7, 0.1, 0.1], [0.8, 0.8, 0.8]]}
+    table = materials(3, emission=[[0, 0, 0], [0, 0, 0], [3.0, 2.6, 2.0]], **looks)
+
+    def block(name: str, row: int) -> Geometry:
+        made = replace(cube_mesh(name, 0.5), materials=(row,), material=np.full(12, row, np.uint16))
+        return mesh(made, "POLYGONS")
+
+    def stretched(low: tuple[float, float, float], high: tuple[float, float, float]) -> np.ndarray:
+        matrix = np.diag([*np.subtract(high, low), 1.0])
+        matrix[:3, 3] = np.add(low, high) / 2
+        return matrix
+
+    walls = block("wall of a room", 0)
+    sides = (
+        ((-2.2, -2.2, -0.2), (2.2, 2.2, 0)), ((-2.2, -2.2, 2.4), (2.2, 2.2, 2.6)),
+        ((-2.2, -2.2, 0), (-2, 2.2, 2.4)), ((2, -2.2, 0), (2.2, 2.2, 2.4)),
+        ((-2, -2.2, 0), (2, -2, 2.4)), ((-2, 2, 0), (2, 2.2, 2.4)),
+    )  # fmt: skip
+    things = (
+        *((walls, stretched(*one)) for one in sides),
+        (block("block in a room", 1), stretched((-0.9, 0.2, 0), (-0.2, 0.9, 0.8))),
+        (block("light of a room", 2), stretched((-0.1, -0.6, 2.2), (0.7, 0.2, 2.3))),
+    )
+    lit = scene(*things, lights=(), world=World(np.array([0.45, 0.6, 0.75])), table=table)
+    return Case(lit, camera((0.9, -1.6, 1.2), (-0.3, 0.6, 0.9), (160, 120), 70.0), replace(SETTINGS, bounces=3))
+
+
 EVERY = in_a_corner, among_balls_and_strands, under_smoke, among_mirrors

@@ -212,6 +212,12 @@ def blurred(folder, meter):
     yield 0.5
 
 
+def brightness(picture):
+    """The mean of the pixels of a picture, in display units from 0 to 1."""
+    values = [value for row in picture for pixel in row for value in pixel]
+    return sum(values) / len(values)
+
+
 def indirect(folder):
     """Indirect light comes into a view that stands still, while it can be used, and once more when it has moved."""
     _, area, _, space = viewport()
@@ -232,9 +238,14 @@ def indirect(folder):
             area.tag_redraw()
             yield 0.1
         view.view_camera_offset = 0, 0
+        area.tag_redraw()
+        yield 0.1
+        moving = shoot(folder, "indirect_moving")
+        off, gone = brightness(moving) - brightness(lit), brightness(without) - brightness(lit)
+        check(abs(off) < abs(gone) / 4, f"and stays while it moves ({off:.4f}; without it: {gone:.4f})")
         yield from rest(meter, area)
         again = difference(lit, shoot(folder, "indirect_again"))
-        check(again < difference(without, lit) / 10, "and comes again once it has moved")
+        check(again < difference(without, lit) / 10, "and is gathered again once it has moved")
     finally:
         meter.end()
     settings.use_indirect, background.default_value = False, strength

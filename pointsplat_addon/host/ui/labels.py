@@ -180,7 +180,7 @@ LABELS: dict[str, tuple[str, str]] = {
     "use_indirect": (
         "Indirect Light",
         "Objects, smoke and clouds hide the world from each other and send each other light; sharp mirrors show the "
-        "meshes around them. Drawn by the Visibility Buffer; viewports have it once the view stands still",
+        "meshes around them. Drawn by the Visibility Buffer; viewports have it once the view has stood still",
     ),
     "bounces": (
         "Bounces",

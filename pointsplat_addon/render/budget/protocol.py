@@ -6,10 +6,12 @@ from collections.abc import Callable
 from typing import Protocol
 
 from ...core.scene.scene import Scene
+from ..cache.device_cache import DeviceCache
 from ..cache.store import Store
 from ..device.protocol import Device
 from ..frame.frame import Frame
 from ..indirect.known_sites import Slices
+from ..indirect.light import IndirectLight
 from ..plan.request import Request, Result
 from .pacing import Pacers
 from .watch import Watch
@@ -32,6 +34,11 @@ class SampleRenderer(Protocol):
         ...
 
     @property
+    def kept(self) -> DeviceCache:
+        """What stays on the device from picture to picture."""
+        ...
+
+    @property
     def pacers(self) -> Pacers:
         """What was measured of the scenes that were drawn within a budget of time."""
         ...
@@ -47,6 +54,9 @@ class SampleRenderer(Protocol):
         """Draws samples of a picture until there are enough, or `watch` says so."""
         ...
 
-    def start(self, scene: Scene, request: Request, slices: Slices | None = None) -> Frame:
-        """Prepares a picture that is then drawn sample by sample. Cancelled: `slices` put gathering off."""
+    def start(
+        self, scene: Scene, request: Request, slices: Slices | None = None, known: IndirectLight | None = None
+    ) -> Frame:
+        """Prepares a picture that is then drawn sample by sample. Cancelled: `slices` put gathering off. `known`:
+        nothing is gathered, but estimated from this light."""
         ...

@@ -65,13 +65,16 @@ class Frame:
         presented: bool = False,
         picture: bool = True,
         slices: Slices | None = None,
+        known: IndirectLight | None = None,
     ) -> None:
         """Plans the picture and allocates what it needs on the device.
 
         `presented`: the picture is shown between samples. `picture`: draw Combined, not only auxiliary passes.
         `slices`: in which indirect light is gathered; None: all at once. Cancelled: the picture is not wanted, or
-        gathering was put off.
+        gathering was put off. `known`: light of the same scene, from which indirect light is estimated; then nothing is
+        gathered, and sharp mirrors show it blurred.
         """
+        self._known = known
         self.renderer, self.presented = renderer, presented
         self.slices = Slices() if slices is None else slices
         self.device = renderer.device
@@ -159,7 +162,9 @@ class Frame:
             gather = 2 << count  # two pixels of the coarsest level on either side
             self.adaptive = self._own(Adaptive(device, self.targets.sums[0], threshold, gather, centre))
         self.shading = Shading(device, frame_plan.scene, plan, request, self.uploads, self.targets, self.backdrop)
-        self._indirect = self._kept_light() if plan.indirect or plan.gathers_media else None
+        self._indirect = None
+        if plan.indirect or plan.gathers_media:
+            self._indirect = self._kept_light() if self._known is None else self._known
         if plan.defocus:
             transparent = frame_plan.scene.transparent
             self.out_of_focus = self._own(OutOfFocus(device, plan, self.uploads, self.targets, transparent, run))
@@ -180,8 +185,8 @@ class Frame:
         indirect = None
         if plan.indirect and self._indirect is not None:
             light = self._indirect
-            mirrors = self._mirrors(light)
-            indirect = GroupsInIndirectLight(device, light, self.uploads, plan.variant, self.slices, mirrors)
+            mirrors, slices = (self._mirrors(light), self.slices) if self._known is None else (None, None)
+            indirect = GroupsInIndirectLight(device, light, self.uploads, plan.variant, slices, mirrors)
         part, panes = self.frame_plan.request.part if self._in_parts else (0, 1), None
         if plan.panes:
             lit, sums = None if self.lit is None else self.lit.lit, self.targets.combined_target
@@ -422,6 +427,11 @@ class Frame:
             self.out_of_focus.gather(self.done - self.first, self._centred(), behind, texels, self.adaptive)
 
     # Between samples
+
+    @property
+    def indirect(self) -> IndirectLight | None:
+        """The indirect light of the picture; None where it has none."""
+        return self._indirect
 
     @property
     def blends(self) -> bool:

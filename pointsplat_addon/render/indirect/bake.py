@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator
+from dataclasses import replace
 
 import numpy as np
 
+from ...core.indirect.around import LightAt, joined, thinned
 from ...core.indirect.media import MediaGrid
 from ...core.indirect.sites import hashed
 from ...core.indirect.surfels import Surfels
@@ -29,6 +31,7 @@ THINNER = 0.25  # along the normal
 ALIKE = 0.9  # cosine between normals of surfels and of receivers next to theirs that light them, too
 SMALLEST_SHARE = 10.0  # percent of surfels that are smaller than what is told apart
 TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], np.float32) / np.float32(3**0.5)
+KNOWN_APART = 3.0  # times as far as surfels are those places apart of which it is kept what falls on them
 LIFTED = 0.05  # radii of a surfel, by which its receiver lies above it
 
 
@@ -78,9 +81,12 @@ class Baker:
         lighting: tuple[str, ...],
         bounces: int,
         media: MediaGrid | None = None,
+        apart: np.ndarray | None = None,
     ) -> None:
-        """`lighting`: PS_ names of lamps, shadows and the sky."""
+        """`lighting`: PS_ names of lamps, shadows and the sky. `apart` (N,): smaller surfels count as that large where
+        receivers are chosen; None: all count as large as they are."""
         self._scene, self._surfels, self._bounces, self._media = scene, surfels, bounces, media
+        self._apart = np.zeros(len(surfels)) if apart is None else apart
         self._names = world_names(lighting)
         self._lamps = tuple(name for name in lighting if name not in self._names)
         self._tree = build_tree(surfels) if len(surfels) else None
@@ -126,7 +132,7 @@ class Baker:
         if bounces == 0:
             return (yield from self._finished(shines))
         direct = self._direct()
-        receivers = bounce_receivers(self._surfels, MOST_BOUNCE_RECEIVERS)
+        receivers = bounce_receivers(self._surfels, MOST_BOUNCE_RECEIVERS, self._apart)
         at = self._surfels.take(receivers.rows)
         # What lamps light is bright in places: it is gathered together with the sky, so that it is a
         # bounce ahead of what the sky lights.
@@ -135,8 +141,9 @@ class Baker:
         found = yield from self._gathered(at, shines + lit, 1.0)
         total = shines + direct + self._scattered(receivers, found)
         # All further light is even, and gathered at fewer.
-        fewer = bounce_receivers(at, MOST_BOUNCE_RECEIVERS // FEWER)
+        fewer = bounce_receivers(at, MOST_BOUNCE_RECEIVERS // FEWER, self._apart[receivers.rows])
         some, gain, now = at.take(fewer.rows), found, np.zeros(3)
+        falls = [found.surfels[..., :3]]
         for number in range(1, bounces):
             sends = self._scattered(receivers, gain)
             if number == bounces - 1:
@@ -152,7 +159,9 @@ class Baker:
             gathered = yield from self._gathered(some, sends, 0.0)
             gain = Received(fewer.spread(gathered.surfels), gathered.media)
             total = total + self._scattered(receivers, gain)
-        return (yield from self._finished(total))
+            falls.append(gain.surfels[..., :3])
+        baked = yield from self._finished(total)
+        return replace(baked, received=_received(self._surfels, receivers, falls))
 
     @property
     def _shining(self) -> np.ndarray:
@@ -258,6 +267,27 @@ class Baker:
         self._light = None
 
 
+def _received(surfels: Surfels, receivers: BounceReceivers, falls: list[np.ndarray]) -> np.ndarray:
+    """(K, 10) float32: `received` of BakedLight, by what falls on receivers: the sum of `falls` (2, R, 3), and of one
+    more, which gathers of pictures add."""
+    if len(falls) < 2:
+        return np.zeros((0, 10), np.float32)  # lamps' light would be missing
+    before, last = (float(one.sum(dtype=float)) for one in falls[-2:])
+    more = min(last / max(before, 1e-30), MOST_LEFT)
+    light = receivers.spread(np.sum(falls, axis=0) + np.float32(more) * falls[-1])
+    inside = ~surfels.closed & surfels.normal.any(axis=1)
+    parts = []
+    for side, sign, shown in ((0, 1, slice(None)), (1, -1, inside)):
+        normal = np.float64(sign) * surfels.normal[shown]
+        found = np.zeros((len(normal), 8), np.float32)
+        found[:, :3] = light[side][shown]
+        level = 0.5 * np.log2(np.maximum(surfels.area[shown], 1e-30))
+        place, none = surfels.position[shown].astype(np.float64), np.zeros(len(normal), bool)
+        parts.append(LightAt(place, normal, level, found, none))
+    few = thinned(joined(parts), KNOWN_APART)
+    return np.column_stack([few.position, few.normal, few.found[:, :3], few.level]).astype(np.float32)
+
+
 def _not_of_lamps(found: np.ndarray, weight: np.ndarray, shines: np.ndarray, lit: np.ndarray) -> float:
     """The share of light (..., 4), weighed by (...), that is not of lamps: of the world, or of what shines itself."""
     sky = float((weight * found[..., 3]).sum() / max(float((weight * found[..., :3].mean(axis=-1)).sum()), 1e-30))
@@ -273,8 +303,9 @@ def _share(sends: np.ndarray, total: np.ndarray) -> float:
     return float((sends.sum(axis=(0, 2)) / np.maximum(of_all + np.median(of_all), 1e-30)).mean())
 
 
-def bounce_receivers(surfels: Surfels, most: int) -> BounceReceivers:
-    """Chooses about `most` sides of surfels, at which light is gathered for all."""
+def bounce_receivers(surfels: Surfels, most: int, apart: np.ndarray) -> BounceReceivers:
+    """Chooses about `most` sides of surfels, at which light is gathered for all. `apart` (N,): those that are smaller
+    count as that large, else pieces of fine meshes would take nearly all receivers, and large floors none."""
     if len(surfels) == 0:
         none = np.zeros((4, 0), np.int64)
         return BounceReceivers(none[0], none, none.astype(np.float32))
@@ -284,11 +315,12 @@ def bounce_receivers(surfels: Surfels, most: int) -> BounceReceivers:
     # Surfels are the larger the farther off they are, and so are the cells that share a receiver. These are
     # flat, thin along the axis that normals are turned to, so that surfaces behind one another do not share one.
     whole = surfels.area * np.where(surfels.half, 2, 1)
-    size = np.sqrt(np.maximum(whole, np.percentile(whole, SMALLEST_SHARE)))
+    size = np.maximum(np.sqrt(np.maximum(whole, np.percentile(whole, SMALLEST_SHARE))), apart)
     across = np.exp2(np.ceil(np.log2(size)))[:, None]
     thin = np.where(np.abs(SIDE_AXES.T[face]) > 0.5, THINNER, 1.0)
     away = surfels.position - surfels.position.min(axis=0)
-    scale = max((np.count_nonzero(~surfels.closed) + len(surfels)) / most, 1.0) ** 0.5
+    fills = np.minimum(whole / np.maximum(apart * apart, 1e-30), 1.0)  # of a cell
+    scale = max(float((fills * np.where(surfels.closed, 1, 2)).sum()) / most, 1.0) ** 0.5
     while True:
         at = away / (scale * thin * across)
         cell = np.floor(at)

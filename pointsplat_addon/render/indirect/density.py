@@ -30,7 +30,7 @@ class Density:
     def __init__(self, camera: Camera, middle: np.ndarray, half: np.ndarray) -> None:
         """middle, half: (I, 3) float64, of boxes around the instances in world space."""
         eye, scale = camera_place(camera), PIXELS / camera.pixel_from_view()[0]
-        self._middle, self._half = middle, half
+        self._middle, self._half, self._perspective = middle, half, camera.perspective
         self._scale = float(np.exp2(np.rint(2 * np.log2(scale)) / 2))  # a lens that zooms changes it in steps
         self._radius = np.maximum(np.linalg.norm(half, axis=1), 1e-30)
         if not camera.perspective:
@@ -54,6 +54,12 @@ class Density:
     def key(self) -> bytes:
         """Equal ones mean equal surfels of equal instances."""
         return digest((self._anchor.tobytes(), self._least.tobytes(), self._scale))
+
+    def seen_at(self, position: np.ndarray, origin: np.ndarray) -> np.ndarray:
+        """(N,): how wide as many pixels are at positions (N, 3) in the world from `origin` as surfels are apart."""
+        if not self._perspective:
+            return np.full(len(position), self._scale)
+        return self._scale * np.linalg.norm(position - (self._anchor - origin), axis=1)
 
     def spacing(self, row: int, origin: np.ndarray) -> Spacing:
         """Returns the spacing on an instance, in the world from `origin`."""

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...core.indirect.around import LightAround, LightAt, joined, matched
 from ...core.light.light_table import light_texture
 from ...core.numeric.morton import morton_codes
 from ...core.numeric.record import record
 from ...core.scene.world import World
 from ...shading.interface import Interface
+from ..cache.keys import Key
 from ..device.protocol import Device, Texture
 from ..passes.indirect.gather import COARSENESS, Gather, gather_program
 from ..passes.indirect.pages import MEDIA_WIDTH, NODE_WIDTH, RECEIVER_WIDTH, paged_texture, receiver_texture
 from .known_sites import KnownSites
 from .media import BakedMedia
+
+MOST_REMEMBERED = 1 << 17  # positions, of about 100 bytes each, of which it is remembered what was gathered
 
 
 @record
@@ -23,24 +27,60 @@ class BakedLight:
     origin: np.ndarray  # (3,) float64, world: of the tree's space, which has the world's axes
     nodes: np.ndarray  # (M, 16) float32, as of node_rows, the root last
     media: BakedMedia | None = None
+    # (K, 10) float32: what falls on the scene at some positions: these, normals, irradiance over pi, and the binary
+    # logarithm of how far they are apart. None: it is not known.
+    received: np.ndarray | None = None
 
     @property
     def nbytes(self) -> int:
-        return self.nodes.nbytes + (0 if self.media is None else self.media.cells.nbytes + self.media.light.nbytes)
+        received = 0 if self.received is None else self.received.nbytes
+        return (
+            self.nodes.nbytes
+            + received
+            + (0 if self.media is None else self.media.cells.nbytes + self.media.light.nbytes)
+        )
 
 
 class IndirectLight:
     """Such a tree on the device, from which light is gathered."""
 
-    def __init__(self, device: Device, baked: BakedLight, world: World, names: tuple[str, ...]) -> None:
-        """`names`: PS_ names of the world."""
-        self._device, self._names = device, names
+    def __init__(
+        self, device: Device, baked: BakedLight, world: World, names: tuple[str, ...], key: Key | None = None
+    ) -> None:
+        """`names`: PS_ names of the world. `key`: by which it is kept."""
+        self._device, self._names, self.key = device, names, key
         self.origin = baked.origin
         self._baked: BakedLight | None = baked  # until something is gathered
         self._root, self.media = len(baked.nodes) - 1, baked.media
         self._table = light_texture((), world, np.eye(4))
         self._textures: dict[str, Texture] = {}
         self.known = KnownSites()
+        self._received = None if baked.received is None else _light_at(baked.received)
+        self._remembered: list[LightAt] = []  # what was gathered
+        self._around: LightAround | None = None
+
+    def remember(self, known: LightAt) -> None:
+        """Takes in what was gathered, for `around`; of much, the latest."""
+        self._remembered.append(known)
+        self._around = None
+        if sum(len(one.level) for one in self._remembered) > 2 * MOST_REMEMBERED:
+            self._remembered = [joined(self._remembered).take(slice(-MOST_REMEMBERED, None))]
+
+    @property
+    def around(self) -> LightAround | None:
+        """What is known of light, from which it is estimated elsewhere; None where nothing is."""
+        if self._around is None:
+            known = [] if not self._remembered else [joined(self._remembered)]
+            if self._received is not None and len(self._received.level):
+                known.append(matched(self._received, *known) if known else self._received)
+            if known:
+                self._around = LightAround(*known)
+        return self._around
+
+    @property
+    def tells(self) -> bool:
+        """Whether light can be estimated wherever a surface receives some."""
+        return self._root < 0 or self.around is not None
 
     @property
     def _colored(self) -> bool:
@@ -150,6 +190,15 @@ class IndirectLight:
         for texture in self._textures.values():
             texture.release()
         self._textures = {}
+
+
+def _light_at(received: np.ndarray) -> LightAt:
+    """What falls on surfaces, as of BakedLight, (K, 10). Nothing is known of what they mirror."""
+    count = len(received)
+    found = np.zeros((count, 8), np.float32)
+    found[:, :3] = received[:, 6:9]
+    position, normal, _, level = np.split(received.astype(np.float64), (3, 6, 9), axis=1)
+    return LightAt(position, normal, level[:, 0], found, np.zeros(count, bool))
 
 
 def world_names(lighting: tuple[str, ...]) -> tuple[str, ...]:

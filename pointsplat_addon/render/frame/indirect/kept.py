@@ -50,14 +50,10 @@ def kept_light(
     """
     density, origin = scene_density(scene, camera, store)
     lighting = tuple(name for name in plan.lighting if name != "PS_SHADOW_NESTED")
-    light, instances = uploads.lighting, scene.instances
-    depends_on = (
-        density.key, _digest(instances.geometry, instances.world_from_object), _digest(*instances.objects.values()),
-        _digest(*(() if instances.scatters is None else (instances.scatters,))), _digest(*_values(scene.materials)),
-        tuple(_digest(*_values(one)) for one in scene.lights), _world_digest(scene, store),
-        light.shadow_key, lighting, bounces,
-    )  # fmt: skip
-    key = Key(Kind.LIGHT_TREE, tuple(geometry.key for geometry in scene.geometries), other=depends_on)
+    light = uploads.lighting
+    geometries, *content = scene_content(scene, store)
+    depends_on = density.key, *content, light.shadow_key, lighting, bounces
+    key = Key(Kind.LIGHT_TREE, geometries, other=depends_on)
 
     # Each device has its own, for a picture on another thread may need the same.
     of_baker = Key(Kind.LIGHT_BAKER, key.content, other=(*depends_on, id(device)))
@@ -66,7 +62,10 @@ def kept_light(
         checked = check if slices.endless else lambda: None
         surfels = scene_surfels(scene, density, origin, store, checked)
         media = scene_media(scene, usable_instances(scene), origin, checked)
-        return Baker(scene, surfels, lighting, bounces, media) if len(surfels) or media is not None else None
+        if not len(surfels) and media is None:
+            return None
+        apart = density.seen_at(surfels.position, origin)
+        return Baker(scene, surfels, lighting, bounces, media, apart)
 
     def bake() -> BakedLight:
         if not slices.endless and not store.made_later(of_baker, make_baker):
@@ -85,10 +84,22 @@ def kept_light(
 
     def make() -> IndirectLight:
         baked = light.on_disk.lookup(key, bake, FORM, device.limits.driver)
-        return IndirectLight(device, baked, scene.world, world_names(lighting))
+        return IndirectLight(device, baked, scene.world, world_names(lighting), key)
 
     found: IndirectLight = uploads.lookup(key, make)
     return None if found.empty else found
+
+
+def scene_content(scene: Scene, store: Store) -> tuple:
+    """Returns what the light of a scene depends on, but for cameras and settings: the keys of its geometries, and
+    hashes of all else."""
+    instances = scene.instances
+    return (
+        tuple(geometry.key for geometry in scene.geometries),
+        _digest(instances.geometry, instances.world_from_object), _digest(*instances.objects.values()),
+        _digest(*(() if instances.scatters is None else (instances.scatters,))), _digest(*_values(scene.materials)),
+        tuple(_digest(*_values(one)) for one in scene.lights), _world_digest(scene, store),
+    )  # fmt: skip
 
 
 def kept_triangles(device: Device, uploads: Uploads, scene: Scene, origin: np.ndarray) -> TracedScene:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ....core.indirect.around import LightAt
 from ....core.indirect.sites import Sites, hashed, quantised_directions, scrambled
 from ...device.packing import paged
 from ...device.protocol import Device, Target, Texture
@@ -40,10 +41,11 @@ class GroupsInIndirectLight:
         light: IndirectLight,
         uploads: Uploads,
         variant: Variant,
-        slices: Slices,
+        slices: Slices | None,
         mirrors: Mirrors | None = None,
     ) -> None:
-        """`variant`: of the G-buffer of groups. `slices`: in which they gather. `mirrors`: what sharp ones show."""
+        """`variant`: of the G-buffer of groups. `slices`: in which they gather; None: they do not, and what they
+        receive is estimated from what is known. `mirrors`: what sharp ones show."""
         self._device, self._light, self._variant = device, light, variant
         self._materials = uploads.lighting.materials["ps_materials"]
         self._sky = uploads.lighting.sky
@@ -162,6 +164,8 @@ class GroupsInIndirectLight:
         self, view: SampleView, groups: Groups, to_eye: np.ndarray, up: np.ndarray, chosen: Receivers
     ) -> np.ndarray:
         """(R, 8): what receivers have gathered, or interpolated from others that are farther apart and see alike."""
+        if self._slices is None:
+            return self._estimated(groups, up, chosen)
         sole = sole_groups(groups, view)
         known = Known(groups.position.astype(np.float32), groups.normal)
         for side in SIDES:
@@ -169,21 +173,35 @@ class GroupsInIndirectLight:
             found, valid = known.interpolated(wanted.rows, wanted.pixels)
             rows = wanted.rows[~valid]
             at = sites_of(groups, rows, wanted.level[~valid], view, sole)
-            found[~valid] = self._gathered(at, to_eye[rows], up[rows, 3])
+            found[~valid] = self._gathered(at, wanted.level[~valid], to_eye[rows], up[rows, 3])
             if side > TILE:
                 known.add(wanted, side, found, ~valid)
         return found
 
-    def _gathered(self, at: Sites, to_eye: np.ndarray, roughness: np.ndarray) -> np.ndarray:
-        """(n, 8): what is gathered at sites; `roughness` (n,): < 0: nothing is mirrored."""
+    def _estimated(self, groups: Groups, up: np.ndarray, chosen: Receivers) -> np.ndarray:
+        """(R, 8): what receivers are likely to gather, by what is known around them."""
+        around, rows = self._light.around, chosen.rows
+        if around is None:
+            return np.zeros((len(rows), 8), np.float32)
+        found = around.estimated(groups.position[rows], groups.normal[rows], chosen.level)
+        found[up[rows, 3] < 0, 4:] = 0
+        return found
+
+    def _gathered(self, at: Sites, level: np.ndarray, to_eye: np.ndarray, roughness: np.ndarray) -> np.ndarray:
+        """(n, 8): what is gathered at sites in cells of 2^level, (n,); `roughness` (n,): < 0: nothing is mirrored."""
+        assert self._slices is not None
         light, found = self._light, np.empty((len(at.key), 8), np.float32)
         matte = np.flatnonzero(roughness < 0)
         smooth = np.flatnonzero(roughness >= 0)
 
+        def remembered(rows: np.ndarray, found: np.ndarray, lobes: bool) -> np.ndarray:
+            light.remember(LightAt(at.position[rows], at.normal[rows], level[rows], found, np.full(len(rows), lobes)))
+            return found
+
         def gather_matte(some: np.ndarray) -> np.ndarray:
             some = matte[some]
             diffuse = light.gathered(at.position[some], at.normal[some], self._sky)
-            return np.column_stack([diffuse, np.zeros_like(diffuse)])
+            return remembered(some, np.column_stack([diffuse, np.zeros_like(diffuse)]), False)
 
         if len(matte):
             order = coherent_rows(at.position[matte], at.normal[matte])
@@ -199,9 +217,8 @@ class GroupsInIndirectLight:
 
             def gather_smooth(some: np.ndarray) -> np.ndarray:
                 rows = smooth[some]
-                return light.gathered(
-                    at.position[rows], at.normal[rows], self._sky, mirror[some], lobe_sharpness(alpha[some])
-                )
+                of_lobes = mirror[some], lobe_sharpness(alpha[some])
+                return remembered(rows, light.gathered(at.position[rows], at.normal[rows], self._sky, *of_lobes), True)
 
             order = coherent_rows(at.position[smooth], normal)
             found[smooth] = light.known.lookup(keys, order, gather_smooth, self._slices)
