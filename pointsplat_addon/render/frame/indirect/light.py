@@ -26,6 +26,7 @@ from .receivers import Groups, Receivers, choose_receivers, directions_to_eye, s
 
 SIDES = 4 * TILE, 2 * TILE, TILE  # of squares of pixels that have receivers, one after the other
 FEWEST_IN_TILE = 3  # groups of a surface in a square, from which on it has a receiver there beside that of the largest
+FEWEST_SHARE = 16  # of the pixels of a wider square, from which on a surface has a receiver there; tilted ones fill few
 MIRRORS, ROUGHNESSES = 48, 64  # steps of mirrored views, each way of an octahedron, and of roughness
 NOT_KNOWN = (None, None)
 SHARPEST = 24.0  # of a glossy lobe that the cells of a hemisphere resolve
@@ -165,7 +166,9 @@ class GroupsInIndirectLight:
         sole = sole_groups(groups, view)
         known = Known(groups.position.astype(np.float32), groups.normal)
         for side in SIDES:
-            wanted = chosen if side == TILE else choose_receivers(groups, view, side, side * side // 4, False)
+            wanted = (
+                chosen if side == TILE else choose_receivers(groups, view, side, side * side // FEWEST_SHARE, False)
+            )
             found, valid = known.interpolated(wanted.rows, wanted.pixels)
             rows = wanted.rows[~valid]
             at = sites_of(groups, rows, wanted.level[~valid], view, sole)
