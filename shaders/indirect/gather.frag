@@ -33,8 +33,8 @@
 #define PS_TIGHTENED 3.0
 // How large nodes may be whose surfaces are turned to all sides, over those that are flat: one mean radiance stands for all.
 #define PS_TURNED 0.25
-#define PS_SCATTERED 2.0  // the same of leaves and hairs, which need not be tight
-#define PS_ROUND 1.0  // the same of balls, each of which has one radiance
+#define PS_SCATTERED 4.0  // the same of leaves and hairs, which need not be tight
+#define PS_ROUND 2.0  // the same of balls, each of which has one radiance
 #define PS_ABOVE 0.05  // radii of a leaf above the receiver's plane from which on it is seen
 #define PS_LOW 0.005  // sine of the height above the horizon, below which nothing is seen
 #define PS_OUTSIDE 2.0  // fronts over backs that a receiver has seen, from which on it lies outside of things
