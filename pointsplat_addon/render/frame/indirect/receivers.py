@@ -112,13 +112,14 @@ def choose_receivers(groups: Groups, view: SampleView, side: int, fewest: int, e
         _, owner = np.unique(in_cell[order[first]], return_inverse=True)
         enough &= number > MAIN * np.bincount(owner, number)[owner]
     chosen = order[first[enough]]
+    of_cell = np.empty(len(order), np.int64)
+    of_cell[order] = np.cumsum(new) - 1
     if every:
         bare = np.flatnonzero(~_with_neighbours(tile[chosen], rows, columns)[tile])
-        of_cell = np.empty(len(order), np.int64)
-        of_cell[order] = np.cumsum(new) - 1
         best = bare[np.lexsort((off[bare], -number[of_cell[bare]], tile[bare]))]
         chosen = np.concatenate([chosen, best[np.diff(tile[best], prepend=-1) > 0]])
-    chosen = chosen[np.argsort(tile[chosen], kind="stable")]
+    # The largest come first; by their keys they would depend on the unit of length.
+    chosen = chosen[np.lexsort((chosen, -number[of_cell[chosen]], tile[chosen]))]
     counts = np.bincount(tile[chosen], minlength=rows * columns)
     starts = np.cumsum(counts) - counts
     tiles = np.stack([starts, counts], axis=1).astype(np.float32).reshape(rows, columns, 2)
