@@ -4,8 +4,8 @@
 //     the mean of what the sky has in it
 //   out_glossy: mean radiance of surfaces over the lobe around the mirrored view, and the share of the lobe that is open
 // A walk meets near nodes first. A node is opened until it is smaller than a cell; then it covers as much of the cells under it
-// as it is large: what surfaces cover adds up, so that they are tight; leaves and hairs hide each other as if they lay there by
-// chance. PS_GLOSSY: out_glossy is wanted. PS_MEDIA: media hide and send light, too, along PS_RAYS x PS_RAYS rays through each cell.
+// as it is large. Nodes behind cells that are covered are passed over. What surfaces cover adds up, so that they are tight; leaves
+// and hairs hide each other as if they lay there by chance. PS_GLOSSY: out_glossy is wanted. PS_MEDIA: media hide and send light, too, along PS_RAYS x PS_RAYS rays through each cell.
 // PS_EVERY_SIDE: of a hemisphere, half of what a receiver within a medium sees: without the cosine.
 
 #include "lib/light/environment.glsl"
@@ -33,11 +33,15 @@
 #define PS_TIGHTENED 3.0
 // How large nodes may be whose surfaces are turned to all sides, over those that are flat: one mean radiance stands for all.
 #define PS_TURNED 0.25
+#define PS_SCATTERED 4.0  // the same of leaves and hairs, which need not be tight
+#define PS_ROUND 2.0  // the same of balls, each of which has one radiance
 #define PS_ABOVE 0.05  // radii of a leaf above the receiver's plane from which on it is seen
 #define PS_LOW 0.005  // sine of the height above the horizon, below which nothing is seen
 #define PS_OUTSIDE 2.0  // fronts over backs that a receiver has seen, from which on it lies outside of things
 #define PS_HIDES 2.0  // of backs, over what is shown of fronts, that are hidden there
 #define PS_BESIDE 1.2  // times farther away than backs, up to which fronts take their place
+#define PS_FULL 0.95  // share from which on nothing more is seen in a cell: what is open of it counts as closed
+#define PS_WIDENED 1.4  // how far circles reach in cells at most, over what their solid angle tells
 #define PS_SKY_ROUGHNESS 0.4  // of the world's picture that is as blurred as a cell is wide
 
 float ps_covered[PS_CELLS * PS_CELLS];  // share of the cell
@@ -52,6 +56,7 @@ vec3 ps_mirrored[PS_CELLS * PS_CELLS];  // what PsGathered has of it, before med
 float ps_fronts = 0.0, ps_backs = 0.0;  // solid angles of surfaces that were seen from before, and from behind
 float ps_left[PS_CELLS * PS_CELLS];  // one over the distance of what is seen from behind, the latest
 float ps_inside[PS_CELLS * PS_CELLS];  // covered by surfaces that are seen from before, less those from behind
+uvec2 ps_full = uvec2(0u);  // cells that are covered, a bit each, 8 for a row, 4 rows in each number
 
 struct PsGathered {
   vec3 diffuse;
@@ -94,37 +99,37 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   // Of surfaces that a cell shows from behind, as much is hidden as it shows from before: where they are closed, by themselves.
   // Receivers that see mostly fronts lie outside of things: as their cells show fronts and backs unevenly, more is hidden there.
   // A walk does not meet all in order: fronts that come hardly farther away take the place of such backs before them.
+  // Arrays are read and written once: software rasterisers do it one receiver after the other.
+  float covered = ps_covered[i], inside = ps_inside[i], of_cell = ps_weight[i], latest = ps_left[i];
+  vec3 light = ps_light[i];
   float entered = seen.front * part, left = seen.back * part;
-  float shown = look.scattered ? 0.0 : (1.0 - ps_covered[i]) * cell;
+  float solid = look.scattered ? 0.0 : 1.0, shown = solid * (1.0 - covered) * cell;
   ps_fronts += entered * shown;
   ps_backs += left * shown;
-  float late = 0.0;
-  if (!look.scattered && ps_inside[i] < 0.0 && seen.nearness * PS_BESIDE > ps_left[i]) {
-    late = min(min(entered, -ps_inside[i]), ps_covered[i]);
-    float kept = 1.0 - late / max(ps_covered[i], 1e-30);
-    ps_covered[i] -= late;
-    ps_weight[i] *= kept;
-    ps_light[i] *= kept;
-#ifdef PS_MEDIA
-    ps_distance[i] *= kept;
-#endif
-    ps_inside[i] += late;
-  }
+  bool is_late = !look.scattered && inside < 0.0 && seen.nearness * PS_BESIDE > latest;
+  float late = is_late ? min(min(entered, -inside), covered) : 0.0;
+  float kept = 1.0 - late / max(covered, 1e-30);
+  covered -= late;
+  inside += late;
   float hides = entered * (ps_fronts >= PS_OUTSIDE * ps_backs ? PS_HIDES : 1.0) - late;
-  float hidden = look.scattered ? 0.0 : min(left, max(ps_inside[i], 0.0) + hides);
+  float hidden = solid * min(left, max(inside, 0.0) + hides);
   float seen_back = left - hidden, whole = entered + seen_back;
-  ps_inside[i] += look.scattered ? 0.0 : hides - left;
-  ps_left[i] = seen_back > 0.0 && !look.scattered ? seen.nearness : ps_left[i];
-  float open = 1.0 - ps_covered[i], covers = look.scattered ? (1.0 - exp(-whole)) * open : min(whole, open);
-  ps_covered[i] += covers;
+  inside += solid * (hides - left);
+  float open = 1.0 - covered, covers = look.scattered ? (1.0 - exp(-whole)) * open : min(whole, open);
+  covered += covers;
   float weight = covers * cell * PS_COSINE(seen.direction);
-  ps_weight[i] += weight;
-#ifdef PS_MEDIA
-  ps_distance[i] += weight / max(seen.nearness, 1e-30);
-#endif
   sum.nearness += weight * seen.nearness;
   vec3 radiance = (entered * seen.radiance + seen_back * (look.scattered ? seen.radiance : look.inside)) / max(whole, 1e-30);
-  ps_light[i] += radiance * weight;
+  ps_covered[i] = covered;
+  ps_inside[i] = inside;
+  ps_weight[i] = of_cell * kept + weight;
+  ps_light[i] = light * kept + radiance * weight;
+  ps_left[i] = seen_back > 0.0 && !look.scattered ? seen.nearness : latest;
+#ifdef PS_MEDIA
+  ps_distance[i] = ps_distance[i] * kept + weight / max(seen.nearness, 1e-30);
+#endif
+  uint full = covered >= PS_FULL ? 1u << uint((at.y & 3) * 8 + at.x) : 0u;
+  ps_full |= at.y < 4 ? uvec2(full, 0u) : uvec2(0u, full);
   ps_add_glossy(sum, i, radiance, covers * cell, seen.direction, lobe);
 }
 
@@ -145,10 +150,30 @@ void ps_deposit(inout PsGathered sum, PsSeen seen, PsNodeLook look, vec4 lobe)
   ps_cover(sum, first + ivec2(1, 1), low, high, share, cell, seen, look, lobe);
 }
 
-// How much larger than a cell a node may be whose surface is flat than one that is turned to all sides.
-float ps_sameness(float along)
+// The first rows, so many, of four.
+uint ps_rows(int count)
 {
-  return mix(PS_TURNED, 1.0, along * along * along);
+  return count == 4 ? 0xffffffffu : (1u << uint(8 * count)) - 1u;
+}
+
+// Whether all cells are covered that a ball may touch, so wide beside its distance, in a direction.
+bool ps_behind(vec3 direction, float wide, float cell)
+{
+  vec2 centre = ps_cell_from_direction(direction);
+  float reach = 0.5 + PS_WIDENED * wide * inversesqrt(cell);
+  ivec2 low = max(ivec2(centre - reach), 0), high = min(ivec2(centre + reach), PS_CELLS - 1);
+  uint row = ((2u << uint(high.x)) - (1u << uint(low.x))) * 0x01010101u;
+  // Rows of the lower and upper half.
+  ivec2 from = clamp(low.y - ivec2(0, 4), 0, 4), to = clamp(high.y + 1 - ivec2(0, 4), 0, 4);
+  uvec2 rows = uvec2(ps_rows(to.x) & ~ps_rows(from.x), ps_rows(to.y) & ~ps_rows(from.y));
+  return ((rows & row) & ~ps_full) == uvec2(0u);
+}
+
+// How large a node may be, over a cell.
+float ps_sameness(PsNode node, float along)
+{
+  float surface = (node.bits & 1 << 21) != 0 ? PS_ROUND : mix(PS_TURNED, 1.0, along * along * along);
+  return (node.bits & 256) != 0 ? PS_SCATTERED : surface;
 }
 
 // Octants `there`, a bit each, in the order of their distance from the octant `own`: bit k stands for the one that differs from it
@@ -266,7 +291,9 @@ void main()
         float axis_up = dot(ps_unpack_normal(node.axis), n), upright = along * axis_up;
         float reach = ps_thickness(node) * abs(axis_up) + sqrt(max(1.0 - axis_up * axis_up, 0.0));
         bool above = height + min(reach, 1.0) * node.radius > PS_LOW * d;
-        bool coarse = d < 1.5 * node.radius || largest > u.coarseness * ps_cell_solid_angle(local) * ps_sameness(along);
+        float cell = ps_cell_solid_angle(local);
+        bool coarse = d < 1.5 * node.radius || largest > u.coarseness * cell * ps_sameness(node, along);
+        above = above && (d < 1.5 * node.radius || !ps_behind(local, node.radius / d, cell));
         opened += above ? 1 : 0;
         tilt = node.radius * sqrt(clamp(1.0 - upright * upright, 0.0, 1.0));
         part = 0;

@@ -27,6 +27,8 @@ from .receivers import Groups, Receivers, choose_receivers, directions_to_eye, s
 
 SIDES = 4 * TILE, 2 * TILE, TILE  # of squares of pixels that have receivers, one after the other
 FEWEST_IN_TILE = 3  # groups of a surface in a square, from which on it has a receiver there beside that of the largest
+FEWEST_SHARE = 16  # a surface has a receiver in wider squares if it fills one in so many pixels; tilted ones fill few
+RIM = 0.4  # cosine to the eye below which what mirrors gathers, as that changes fast there
 MIRRORS, ROUGHNESSES = 48, 64  # steps of mirrored views, each way of an octahedron, and of roughness
 NOT_KNOWN = (None, None)
 SHARPEST = 24.0  # of a glossy lobe that the cells of a hemisphere resolve
@@ -168,9 +170,12 @@ class GroupsInIndirectLight:
             return self._estimated(groups, up, chosen)
         sole = sole_groups(groups, view)
         known = Known(groups.position.astype(np.float32), groups.normal)
+        rim = (up[:, 3] >= 0) & ((up[:, :3] * to_eye).sum(axis=1) < RIM)
         for side in SIDES:
-            wanted = chosen if side == TILE else choose_receivers(groups, view, side, side * side // 4, False)
+            fewest = side * side // FEWEST_SHARE
+            wanted = chosen if side == TILE else choose_receivers(groups, view, side, fewest, False)
             found, valid = known.interpolated(wanted.rows, wanted.pixels)
+            valid &= ~rim[wanted.rows]
             rows = wanted.rows[~valid]
             at = sites_of(groups, rows, wanted.level[~valid], view, sole)
             found[~valid] = self._gathered(at, wanted.level[~valid], to_eye[rows], up[rows, 3])

@@ -10,10 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ....core.indirect.sites import FINE, Sites, cells, hashed, sites
+from ....core.indirect.sites import FINE, Sites, cells, hashed, scrambled, sites
 from ....core.numeric.record import record
 from ...passes.uniforms import SampleView
 
+MAIN = 0.3  # of all groups in a cell, that those of a receiver are where not every square has one: not among hairs
 TURNS = 2  # steps of normals along each axis, either way
 ALIKE = 0.95  # cosine between normals of a receiver and of what the picture shows where its cell's middle is
 SAME_PLANE, SUNK = 0.1, 0.01  # edges that the middle may lie above that, and below: in hollows it would be in the dark
@@ -100,19 +101,25 @@ def choose_receivers(groups: Groups, view: SampleView, side: int, fewest: int, e
     level = np.floor(np.log2(WIDEST * side / focal * away))
     cell, off = cells(position, level)
     turned = np.clip(np.floor((normal * 0.999 + 1) * TURNS), 0, 2 * TURNS - 1)
-    key = hashed(np.column_stack([level, cell, turned]))
+    in_cell = hashed(np.column_stack([level, cell]))
+    key = scrambled(in_cell ^ hashed(turned))
     order = np.lexsort((off, key))
     new = np.append(True, key[order][1:] != key[order][:-1]) if len(order) else np.zeros(0, bool)
     first = np.flatnonzero(new)
     number = np.diff(np.append(first, len(order)))
-    chosen = order[first[number >= fewest]]
+    enough = number >= fewest
+    if not every:
+        _, owner = np.unique(in_cell[order[first]], return_inverse=True)
+        enough &= number > MAIN * np.bincount(owner, number)[owner]
+    chosen = order[first[enough]]
+    of_cell = np.empty(len(order), np.int64)
+    of_cell[order] = np.cumsum(new) - 1
     if every:
         bare = np.flatnonzero(~_with_neighbours(tile[chosen], rows, columns)[tile])
-        of_cell = np.empty(len(order), np.int64)
-        of_cell[order] = np.cumsum(new) - 1
         best = bare[np.lexsort((off[bare], -number[of_cell[bare]], tile[bare]))]
         chosen = np.concatenate([chosen, best[np.diff(tile[best], prepend=-1) > 0]])
-    chosen = chosen[np.argsort(tile[chosen], kind="stable")]
+    # The largest come first; by their keys they would depend on the unit of length.
+    chosen = chosen[np.lexsort((chosen, -number[of_cell[chosen]], tile[chosen]))]
     counts = np.bincount(tile[chosen], minlength=rows * columns)
     starts = np.cumsum(counts) - counts
     tiles = np.stack([starts, counts], axis=1).astype(np.float32).reshape(rows, columns, 2)

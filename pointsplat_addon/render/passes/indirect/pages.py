@@ -15,6 +15,7 @@ RECEIVER_WIDTH = 1024  # receivers in a row, of three texels each
 EDGE_STEPS, EDGE_OCTAVE = 1024, 64  # of how far edges are turned, and of their lengths; of these in an octave
 LEVELS = 63  # steps of shares that are packed into six bits
 MANTISSA = 4096  # steps of radiance below the largest of its channels' power of two
+ROUND = 2.0**21  # the bit of nodes whose surfels are all balls
 EXPONENTS = 1024  # half the range of exponents
 
 
@@ -24,7 +25,7 @@ def node_rows(tree: LightTree, radiance: np.ndarray) -> np.ndarray:
     texel 0  place and radius of the node
           1  area; its first child, or for a leaf -1 less the code of its edge, 0: it has none; its octants, 8 bits,
              whether it is scattered, 1 bit, how far normals lie along the axis and how thick it is along that over
-             its radius, 6 bits each; the axis
+             its radius, 6 bits each, whether it holds balls alone, 1 bit; the axis
           2  direction and length of `facing`; radiance before, in two numbers
           3  radiance behind and inside, in two numbers each
     """
@@ -48,7 +49,11 @@ def node_shapes(tree: LightTree) -> np.ndarray:
     found[leaves, 5] -= _edge_codes(tree, leaves)
     thickness = np.ceil(LEVELS * np.minimum(tree.thickness / tree.radius * (1 + 1e-6), 1.0))
     found[:, 6] = (
-        tree.octants + 256.0 * (tree.scattered > 0.5) + 512.0 * np.rint(LEVELS * tree.along) + 32768.0 * thickness
+        tree.octants
+        + 256.0 * (tree.scattered > 0.5)
+        + 512.0 * np.rint(LEVELS * tree.along)
+        + 32768.0 * thickness
+        + ROUND * ~tree.facing.any(axis=1)
     )
     found[:, 7], found[:, 8] = octahedral(tree.axis), octahedral(tree.facing)
     found[:, 9] = np.sqrt((tree.facing**2).sum(axis=1))
