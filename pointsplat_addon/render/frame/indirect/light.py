@@ -175,13 +175,28 @@ class GroupsInIndirectLight:
             fewest = side * side // FEWEST_SHARE
             wanted = chosen if side == TILE else choose_receivers(groups, view, side, fewest, False)
             found, valid = known.interpolated(wanted.rows, wanted.pixels)
-            valid &= ~rim[wanted.rows]
-            rows = wanted.rows[~valid]
-            at = sites_of(groups, rows, wanted.level[~valid], view, sole)
-            found[~valid] = self._gathered(at, wanted.level[~valid], to_eye[rows], up[rows, 3])
+            found[~valid] = self._gathered_by(groups, wanted, ~valid, view, sole, to_eye, up)
             if side > TILE:
                 known.add(wanted, side, found, ~valid)
+            else:
+                # Of lobes alone: what falls on a surface is the same in a picture of a term that has none.
+                lobes = valid & rim[wanted.rows]
+                found[lobes, 4:] = self._gathered_by(groups, wanted, lobes, view, sole, to_eye, up)[:, 4:]
         return found
+
+    def _gathered_by(
+        self,
+        groups: Groups,
+        wanted: Receivers,
+        some: np.ndarray,
+        view: SampleView,
+        sole: np.ndarray,
+        to_eye: np.ndarray,
+        up: np.ndarray,
+    ) -> np.ndarray:
+        """(n, 8): what some of receivers, (R,) bool, gather."""
+        rows, level = wanted.rows[some], wanted.level[some]
+        return self._gathered(sites_of(groups, rows, level, view, sole), level, to_eye[rows], up[rows, 3])
 
     def _estimated(self, groups: Groups, up: np.ndarray, chosen: Receivers) -> np.ndarray:
         """(R, 8): what receivers are likely to gather, by what is known around them."""
