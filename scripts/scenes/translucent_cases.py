@@ -76,7 +76,7 @@ def panes_in_smoke(extinction: float | tuple[float, float, float] = 1.0) -> Case
 
 
 def panes_in_coloured_smoke() -> Case:
-    """The same in smoke whose extinction is coloured."""
+    """Panes and a cube in a ball of smoke whose extinction is coloured, for the visibility buffer."""
     return panes_in_smoke((0.5, 1.0, 3.0))
 
 

@@ -10,45 +10,33 @@ struct PsBefore {
   vec3 hidden;
 };
 
-#ifdef PS_TINT
-PsBefore ps_seen(vec4 seen, vec4 depths)
-{
-  return PsBefore(seen.rgb, 1.0 - exp(-depths.rgb));
-}
-#else
-PsBefore ps_seen(vec4 seen)
-{
-  return PsBefore(seen.rgb, vec3(seen.w));
-}
-#endif
-
 // `entry`: of the list of groups; not read where the sub-sample is open.
 PsBefore ps_before(ivec2 cell, ivec2 pixel, ivec2 entry, bool open)
 {
-#ifdef PS_IN_CELLS
-  if (texelFetch(ps_narrow, pixel / PS_TILE, 0).x != 0.0) {
+  vec4 seen = vec4(0.0), depths = vec4(0.0);
+#ifdef PS_LISTED
+  seen = texelFetch(ps_listed, entry, 0);
 #ifdef PS_TINT
-    return ps_seen(texelFetch(ps_cells, cell, 0), texelFetch(ps_cells_depths, cell, 0));
-#else
-    return ps_seen(texelFetch(ps_cells, cell, 0));
+  depths = texelFetch(ps_listed_depths, entry, 0);
 #endif
-  }
 #endif
 #ifdef PS_OPEN_TOO
-  if (open) {
+  seen = open ? texelFetch(ps_open, pixel, 0) : seen;
 #ifdef PS_TINT
-    return ps_seen(texelFetch(ps_open, pixel, 0), texelFetch(ps_open_depths, pixel, 0));
-#else
-    return ps_seen(texelFetch(ps_open, pixel, 0));
+  depths = open ? texelFetch(ps_open_depths, pixel, 0) : depths;
 #endif
-  }
 #endif
-#ifndef PS_LISTED
-  return PsBefore(vec3(0.0), vec3(0.0));
-#elif defined(PS_TINT)
-  return ps_seen(texelFetch(ps_listed, entry, 0), texelFetch(ps_listed_depths, entry, 0));
+#ifdef PS_IN_CELLS
+  bool narrow = texelFetch(ps_narrow, pixel / PS_TILE, 0).x != 0.0;
+  seen = narrow ? texelFetch(ps_cells, cell, 0) : seen;
+#ifdef PS_TINT
+  depths = narrow ? texelFetch(ps_cells_depths, cell, 0) : depths;
+#endif
+#endif
+#ifdef PS_TINT
+  return PsBefore(seen.rgb, 1.0 - exp(-depths.rgb));
 #else
-  return ps_seen(texelFetch(ps_listed, entry, 0));
+  return PsBefore(seen.rgb, vec3(seen.w));
 #endif
 }
 #endif

@@ -13,6 +13,7 @@ from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import drawing, indirect_cases
 from scripts.scenes.cameras import camera
 from scripts.scenes.case import Case
+from tests.support.light_changes import CHANGES, changed
 
 COMBINED = frozenset({"combined"})
 CASES = pytest.mark.parametrize("make", indirect_cases.EVERY)
@@ -61,29 +62,17 @@ def test_a_step_of_the_camera_gathers_little(gathered):
     own.release()
 
 
-@pytest.mark.parametrize("change", ["lights", "world", "materials", "place", "visibility"])
+@pytest.mark.parametrize("change", CHANGES)
 def test_what_changes_light_makes_it_anew(gathered, change):
     case, own = indirect_cases.in_a_corner(), renderer()
     picture(own, case, case.camera)
     first = sum(gathered)
-    scene = case.scene
-    if change == "lights":
-        scene = replace(scene, lights=(replace(scene.lights[0], color=scene.lights[0].color * 2),))
-    elif change == "world":
-        scene = replace(scene, world=replace(scene.world, color=np.array([0.1, 0.2, 0.3])))
-    elif change == "materials":
-        scene = replace(scene, materials=replace(scene.materials, base_color=0.5 * scene.materials.base_color))
-    elif change == "visibility":
-        scene = replace(scene, instances=replace(scene.instances, scatters=np.arange(len(scene.instances)) != 2))
-    else:
-        matrices = scene.instances.world_from_object.copy()
-        matrices[2, 0, 3] += 0.1
-        scene = replace(scene, instances=replace(scene.instances, world_from_object=matrices))
+    scene = changed(case.scene, change)
     gathered.clear()
-    changed = replace(case, scene=scene)
-    found = picture(own, changed, case.camera)
+    again = replace(case, scene=scene)
+    found = picture(own, again, case.camera)
     assert sum(gathered) > 0.5 * first
-    np.testing.assert_array_equal(found, picture(renderer(), changed, case.camera))
+    np.testing.assert_array_equal(found, picture(renderer(), again, case.camera))
     own.release()
 
 

@@ -13,6 +13,7 @@ from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import drawing, indirect_cases
 from scripts.scenes.case import Case
+from tests.support.light_changes import CHANGES, changed
 
 TURNS = 0.2, 0.7, 1.5  # radians about the middle of the room
 
@@ -91,25 +92,14 @@ def test_all_kinds_of_things_are_lit(make, gathered):
     own.release()
 
 
-@pytest.mark.parametrize("change", ["lights", "world", "materials", "place", "settings", "none"])
+@pytest.mark.parametrize("change", [*CHANGES, "settings", "none"])
 def test_light_is_known_of_a_scene_by_its_content(change):
     case, own = indirect_cases.in_a_corner(), Renderer(drawing.opengl().device)
     _, light = drawn(own, case, view_of(case, case.camera))
     assert light is not None
     known = KnownLight(own, case.scene, case.settings, light)
-    scene, settings = replace(case.scene), case.settings
-    if change == "lights":
-        scene = replace(scene, lights=(replace(scene.lights[0], color=scene.lights[0].color * 2),))
-    elif change == "world":
-        scene = replace(scene, world=replace(scene.world, color=np.array([0.1, 0.2, 0.3])))
-    elif change == "materials":
-        scene = replace(scene, materials=replace(scene.materials, base_color=0.5 * scene.materials.base_color))
-    elif change == "place":
-        matrices = scene.instances.world_from_object.copy()
-        matrices[2, 0, 3] += 0.1
-        scene = replace(scene, instances=replace(scene.instances, world_from_object=matrices))
-    elif change == "settings":
-        settings = replace(settings, bounces=1)
+    scene = changed(case.scene, change) if change in CHANGES else replace(case.scene)
+    settings = replace(case.settings, bounces=1) if change == "settings" else case.settings
     assert known.is_of(own, scene, settings) == (change == "none")
     assert not known.is_of(Renderer(drawing.opengl().device), case.scene, case.settings)
     known.release()

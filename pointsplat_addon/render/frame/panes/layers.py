@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from ....core.scene.scene import Scene
+from ...device.owned import Owned, texture_of
 from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ...passes.gbuffer import GBuffer
 from ...passes.grouping.groups import Groups, Leaders
@@ -75,20 +75,18 @@ class Panes:
         `lit`: translucent splats among the panes, that are drawn with these."""
         self._device, self._plan, self._uploads, self._targets = device, plan, uploads, targets
         self._shading, self._sums, self._run, self._indirect = shading, sums, run, indirect
-        self._owned: list[Any] = []
+        self._owned = owned = Owned(device)
         lattice, cells = targets.buffer.lattice, targets.buffer.cells
-        self._buffer = self._own(VisibilityBuffer(device, lattice, targets.size_of_tile))
+        self._buffer = owned.add(VisibilityBuffer(device, lattice, targets.size_of_tile))
         self._splats: SplatsBeforePanes | None = None
         if lit is not None:
-            self._splats = self._own(SplatsBeforePanes(device, plan, lit, self._buffer, run))
-        self._groups = self._own(Groups(device, self._buffer))
-        self._states = [
-            {name: self._own(device.texture(cells, format)) for name, format in STATE.items()} for _ in range(2)
-        ]
-        self._state_targets = [self._own(device.target(list(state.values()))) for state in self._states]
-        self._change_targets = [self._own(device.target([state["ps_light"]])) for state in self._states]
-        self._numbers = self._filled(number_texels(lattice), "R32F")
-        self._members = self._filled(member_texels(lattice, np.arange(lattice.count)), "RGBA32F")
+            self._splats = owned.add(SplatsBeforePanes(device, plan, lit, self._buffer, run))
+        self._groups = owned.add(Groups(device, self._buffer))
+        self._states = [{name: owned.texture(cells, format) for name, format in STATE.items()} for _ in range(2)]
+        self._state_targets = [owned.target(*state.values()) for state in self._states]
+        self._change_targets = [owned.target(state["ps_light"]) for state in self._states]
+        self._numbers = owned.filled(number_texels(lattice), "R32F")
+        self._members = owned.filled(member_texels(lattice, np.arange(lattice.count)), "RGBA32F")
 
     def draw(
         self, view: SampleView, tile: PictureTile, shaded: dict[str, Texture], weights: np.ndarray, coarse: bool
@@ -233,7 +231,7 @@ class Panes:
         record = view.record(COMPOSE, **self._buffer.values)
         device.draw(program, self._change_targets[1 - last], uniforms=record, textures=textures)
         rows = weight_rows(weights, np.arange(lattice.count))
-        with_rows = device.texture((rows.shape[1], rows.shape[0]), "R32F", rows.reshape(-1))
+        with_rows = texture_of(device, rows, "R32F")
         try:
             record = view.record(
                 FILTER, rectangle=tile.rectangle(targets.size), corner=tile.origin, sub_samples=lattice.count,
@@ -244,17 +242,8 @@ class Panes:
         finally:
             with_rows.release()
 
-    def _filled(self, texels: np.ndarray, format: str) -> Texture:
-        size = texels.shape[1], texels.shape[0]
-        return self._own(self._device.texture(size, format, texels.astype(np.float32).reshape(-1)))
-
-    def _own(self, item: Any) -> Any:
-        self._owned.append(item)
-        return item
-
     def release(self) -> None:
-        for item in reversed(self._owned):
-            item.release()
+        self._owned.release()
 
 
 def _listed(groups: Groups) -> dict[str, Texture]:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ....core.splat.kernel import SUPPORT
+from ...device.owned import Owned, texture_of
 from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ...passes.grouping.groups import Groups
 from ...passes.translucent.before_panes import (
@@ -87,19 +87,19 @@ class SplatsBeforePanes:
         self._device, self._lit, self._run, self._options = device, lit, run, plan.translucent
         self.tint = plan.translucent.tint
         self._buffer_size, self._cells_size = buffer.size, buffer.cells
-        self._owned: list[Any] = []
+        self._owned = owned = Owned(device)
         self._names = ("", "_depths") if self.tint else ("",)
-        self._pixels = {name: self._texture(buffer.size, "RGBA32F") for name in self._names}
-        self._pixel_targets = {name: self._target(texture) for name, texture in self._pixels.items()}
+        self._pixels = {name: owned.texture(buffer.size, "RGBA32F") for name in self._names}
+        self._pixel_targets = {name: owned.target(texture) for name, texture in self._pixels.items()}
         self._open: dict[str, Texture] = {}
         self._open_targets: dict[str, Target] = {}
-        self._place = self._texture(buffer.size, "R32F")
-        self._place_target = self._target(self._place)
+        self._place = owned.texture(buffer.size, "R32F")
+        self._place_target = owned.target(self._place)
         self._coarse_target: Target | None = None
         if plan.coarse:
             size = -(-buffer.size[0] // COARSE), -(-buffer.size[1] // COARSE)
-            self._coarse = self._texture(size, "RGBA32F")
-            self._coarse_target = self._target(self._coarse)
+            self._coarse = owned.texture(size, "RGBA32F")
+            self._coarse_target = owned.target(self._coarse)
         self._cells: dict[str, Texture] = {}
         self._cell_targets: dict[str, Target] = {}
         self._cell_place_target: Target | None = None
@@ -194,8 +194,8 @@ class SplatsBeforePanes:
     def _draw_open(self, view: SampleView, groups: Groups, where: _Where) -> None:
         """Draws all splats where nothing is behind them."""
         if not self._open:
-            self._open = {name: self._texture(self._buffer_size, "RGBA32F") for name in self._names}
-            self._open_targets = {name: self._target(texture) for name, texture in self._open.items()}
+            self._open = {name: self._owned.texture(self._buffer_size, "RGBA32F") for name in self._names}
+            self._open_targets = {name: self._owned.target(texture) for name, texture in self._open.items()}
         tiles = tiles_by_layer(groups.layers - groups.covered, where.wide)[0]
         self._draw_layer(view, groups, OPEN_LAYER, tiles, self._open_targets, where.low_pass, np.inf)
 
@@ -213,7 +213,7 @@ class SplatsBeforePanes:
         assert self._seen is not None
         device, around, run = self._device, bounds(tiles), self._run
         rows, widest = self._seen.over(tiles, view, farthest)
-        wanted = self._mask(tiles)
+        wanted = texture_of(self._device, tiles, "R32F")
         try:
             run("expand", lambda: self._expand(view, groups, layer, wanted))
         finally:
@@ -269,16 +269,16 @@ class SplatsBeforePanes:
         """Draws splats up to the depth of each sub-sample in tiles that narrow ones touch."""
         assert self._seen is not None
         if not self._cells:
-            self._cells = {name: self._texture(self._cells_size, "RGBA32F") for name in self._names}
-            self._cell_targets = {name: self._target(texture) for name, texture in self._cells.items()}
-            self._cell_place = self._texture(self._cells_size, "R32F")
-            self._cell_place_target = self._target(self._cell_place)
+            self._cells = {name: self._owned.texture(self._cells_size, "RGBA32F") for name in self._names}
+            self._cell_targets = {name: self._owned.target(texture) for name, texture in self._cells.items()}
+            self._cell_place = self._owned.texture(self._cells_size, "R32F")
+            self._cell_place_target = self._owned.target(self._cell_place)
         counts = groups.layers if open_too else groups.covered
         tiles = tiles_by_layer(counts, self._where(open_too).narrow)[0]
         for target in self._cell_targets.values():
             self._device.clear(target)
         rows, widest = self._seen.over(tiles, view, farthest)
-        wanted = self._mask(tiles)
+        wanted = texture_of(self._device, tiles, "R32F")
         try:
             self._run("expand", lambda: self._expand_cells(view, buffer, wanted, open_too))
         finally:
@@ -298,24 +298,9 @@ class SplatsBeforePanes:
         program = place_cells_program(open_too)
         self._device.draw(program, self._cell_place_target, uniforms=record, textures=textures)
 
-    # Textures
-
-    def _mask(self, tiles: np.ndarray) -> Texture:
-        """A texture of tiles (rows, columns) bool."""
-        size = tiles.shape[1], tiles.shape[0]
-        return self._device.texture(size, "R32F", tiles.astype(np.float32).reshape(-1))
-
     def _narrow_mask(self, tiles: np.ndarray) -> Texture | None:
-        """The same; None where there are none."""
-        return self._mask(tiles) if tiles.any() else None
-
-    def _texture(self, size: tuple[int, int], format: str) -> Texture:
-        self._owned.append(found := self._device.texture(size, format))
-        return found
-
-    def _target(self, *textures: Texture) -> Target:
-        self._owned.append(found := self._device.target(textures))
-        return found
+        """A texture of tiles (rows, columns) bool; None where there are none."""
+        return texture_of(self._device, tiles, "R32F") if tiles.any() else None
 
     def _forget(self) -> None:
         """Releases what is known of a view."""
@@ -333,5 +318,4 @@ class SplatsBeforePanes:
     def release(self) -> None:
         self._forget()
         self._release_lists()
-        for item in reversed(self._owned):
-            item.release()
+        self._owned.release()

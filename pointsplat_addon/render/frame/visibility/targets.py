@@ -6,6 +6,7 @@ from typing import Any
 
 from ....core.numeric.lattice import lattice_of
 from ....core.numeric.pixel_filter import filter_reach
+from ...device.owned import Owned
 from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ...passes.gbuffer import GBuffer
 from ...passes.grouping.centre import CentreDepths
@@ -90,35 +91,26 @@ class LayerTargets:
     def __init__(self, device: Device, plan: Plan, size: tuple[int, int]) -> None:
         """`size`: (width, height) of a tile in pixels."""
         assert plan.translucent is not None
-        self._owned: list[Any] = []
-        self.layer, self.difference = (self._texture(device, size, "RGBA32F") for _ in range(2))
-        self.opaque = None if plan.translucent.centred else self._texture(device, size, "RGBA32F")
+        self._owned = owned = Owned(device)
+        self.layer, self.difference = (owned.texture(size, "RGBA32F") for _ in range(2))
+        self.opaque = None if plan.translucent.centred else owned.texture(size, "RGBA32F")
         # Depth, group; with mattes what shadows leave of the light on them.
-        self.place = self._texture(device, size, "RGBA32F" if plan.translucent.mattes else "RG32F")
+        self.place = owned.texture(size, "RGBA32F" if plan.translucent.mattes else "RG32F")
         # The share of a pixel's alpha that holdouts take away.
-        self.cut = self._texture(device, size, "RGBA32F") if plan.translucent.holdout else None
+        self.cut = owned.texture(size, "RGBA32F") if plan.translucent.holdout else None
         opaque = [] if self.opaque is None else [self.opaque]
-        self.expanded = self._target(device, self.layer, *opaque, self.place)
-        self.place_target = self._target(device, self.place)
-        self.difference_target = self._target(device, self.difference)
-        self.blended = self._target(device, self.layer, *([] if self.cut is None else [self.cut]))
+        self.expanded = owned.target(self.layer, *opaque, self.place)
+        self.place_target = owned.target(self.place)
+        self.difference_target = owned.target(self.difference)
+        self.blended = owned.target(self.layer, *([] if self.cut is None else [self.cut]))
         if self.cut is not None:
-            self.cut_target = self._target(device, self.cut)
+            self.cut_target = owned.target(self.cut)
         if plan.coarse:
-            self.coarse = self._texture(device, (-(-size[0] // COARSE), -(-size[1] // COARSE)), "RGBA32F")
-            self.coarse_target = self._target(device, self.coarse)
-
-    def _texture(self, device: Device, size: tuple[int, int], format: str) -> Texture:
-        self._owned.append(found := device.texture(size, format))
-        return found
-
-    def _target(self, device: Device, *textures: Texture) -> Target:
-        self._owned.append(found := device.target(textures))
-        return found
+            self.coarse = owned.texture((-(-size[0] // COARSE), -(-size[1] // COARSE)), "RGBA32F")
+            self.coarse_target = owned.target(self.coarse)
 
     def release(self) -> None:
-        for item in reversed(self._owned):
-            item.release()
+        self._owned.release()
 
 
 class _Lists:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...device.owned import texture_of
 from ...device.protocol import Device, Target, Texture
 from ...passes.tiles import TILE, Region
 from ...passes.translucent.blend import COARSE, ENLARGE
@@ -187,8 +188,7 @@ class TranslucentLayers:
     @contextmanager
     def _texture(self, texels: np.ndarray, format: str) -> Iterator[Texture]:
         """A texture of texels (rows, columns, channels) that is released after use."""
-        size = texels.shape[1], texels.shape[0]
-        made = self._device.texture(size, format, texels.astype(np.float32).reshape(-1))
+        made = texture_of(self._device, texels, format)
         try:
             yield made
         finally:

@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from ....core.numeric.lattice import Lattice
-from ...device.protocol import Device, Target, Texture, releases_on_failure
+from ...device.owned import Owned, texture_of
+from ...device.protocol import Device, Texture, releases_on_failure
 from ...passes.tiles import Region
 from ...passes.translucent.cells import (
     DIFFERENCE_CELLS,
@@ -39,17 +40,17 @@ class TranslucentCells:
     ) -> None:
         """`margin`: pixels around a pixel that the pixel filter takes in. `run` times each pass."""
         self._device, self._options, self._targets, self._margin, self._run = device, options, targets, margin, run
-        self._owned: list[Texture | Target] = []
+        self._owned = owned = Owned(device)
         lattice = self._lattice
         self._cells = lattice.size(largest_block(targets.size_of_tile, margin))
-        self._layer, self._place = self._texture(self._cells, "RGBA32F"), self._texture(self._cells, "R32F")
-        self._cut = self._texture(self._cells, "RGBA32F") if options.holdout else None
-        self._expanded = self._target(self._layer, self._place)
-        self._blended = self._target(self._layer, *([] if self._cut is None else [self._cut]))
-        self._cut_target = None if self._cut is None else self._target(self._cut)
+        self._layer, self._place = owned.texture(self._cells, "RGBA32F"), owned.texture(self._cells, "R32F")
+        self._cut = owned.texture(self._cells, "RGBA32F") if options.holdout else None
+        self._expanded = owned.target(self._layer, self._place)
+        self._blended = owned.target(self._layer, *([] if self._cut is None else [self._cut]))
+        self._cut_target = None if self._cut is None else owned.target(self._cut)
         every = np.arange(lattice.count)
-        self._numbers = self._filled(number_texels(lattice), "R32F")
-        self._members = self._filled(member_texels(lattice, every), "RGBA32F")
+        self._numbers = owned.filled(number_texels(lattice), "R32F")
+        self._members = owned.filled(member_texels(lattice, every), "RGBA32F")
 
     @property
     def _lattice(self) -> Lattice:
@@ -70,12 +71,12 @@ class TranslucentCells:
         name. weights: (N, S), of the pixel filter.
         """
         device, size = self._device, self._targets.size_of_tile
-        rows = self._made(weight_rows(weights, np.arange(self._lattice.count)), "R32F")
+        rows = texture_of(device, weight_rows(weights, np.arange(self._lattice.count)), "R32F")
         # The pixel filter takes in pixels of tiles beside those that change.
-        around = self._made(widened(tiles)[..., None], "R32F")
+        around = texture_of(device, widened(tiles)[..., None], "R32F")
         try:
             for found, own in blocks(tiles, size, self._margin):
-                inside = self._made(own[..., None], "R32F")
+                inside = texture_of(device, own[..., None], "R32F")
                 try:
                     self._run("expand", lambda found=found: self._expand(view, found, around, shaded))
                     if self._cut_target is not None:
@@ -144,23 +145,5 @@ class TranslucentCells:
         textures = {name: texture for name, texture in named.items() if texture is not None}
         return textures | groups.codes | {"ps_combined": shaded["ps_combined"]}
 
-    def _made(self, texels: np.ndarray, format: str) -> Texture:
-        """A texture of texels (rows, columns, channels)."""
-        size = texels.shape[1], texels.shape[0]
-        return self._device.texture(size, format, texels.astype(np.float32).reshape(-1))
-
-    def _filled(self, texels: np.ndarray, format: str) -> Texture:
-        self._owned.append(found := self._made(texels, format))
-        return found
-
-    def _texture(self, size: tuple[int, int], format: str) -> Texture:
-        self._owned.append(found := self._device.texture(size, format))
-        return found
-
-    def _target(self, *textures: Texture) -> Target:
-        self._owned.append(found := self._device.target(textures))
-        return found
-
     def release(self) -> None:
-        for item in reversed(self._owned):
-            item.release()
+        self._owned.release()

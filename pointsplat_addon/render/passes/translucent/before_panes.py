@@ -44,7 +44,7 @@ class Found:
         return *cells, *lists, *(f"ps_open{name}" for name in names if self.wide and open_too)
 
     def defines(self, open_too: bool) -> tuple[tuple[str, str], ...]:
-        """Of lib/translucent/before.glsl."""
+        """The defines of programs that read them (lib/translucent/before.glsl). `open_too`: as of `samplers`."""
         flags = {"PS_IN_CELLS": self.narrow, "PS_LISTED": self.wide, "PS_OPEN_TOO": self.wide and open_too}
         flags |= {"PS_TINT": self.tint}
         tile = (TILE_DEFINE,) if self.narrow else ()
