@@ -51,25 +51,6 @@ class _Cells:
     level: np.ndarray  # (C,): the highest of those that what it holds was known at
 
 
-def thinned(known: LightAt, edge: float) -> LightAt:
-    """Returns means of what is known in cells of `edge` times how far positions are apart, by way and level."""
-    level = np.ceil(known.level + np.log2(edge)).astype(np.int64)
-    row, face, share = _faces(known.normal)
-    items = _items(known, level, row, face, share)
-    found = []
-    for at in np.unique(level).tolist():
-        cells = _merged(_taken(items, np.flatnonzero(items.level == at)), at)
-        normal = np.zeros((len(cells.key), 3))
-        normal[np.arange(len(normal)), cells.face % 3] = np.where(cells.face < 3, 1, -1)
-        count = len(normal)
-        found.append(
-            LightAt(
-                cells.position, normal, np.full(count, float(at)), cells.found.astype(np.float32), cells.smooth > 0.5
-            )
-        )
-    return joined(found) if found else known
-
-
 def matched(rough: LightAt, known: LightAt) -> LightAt:
     """Returns `rough`, brighter or darker by what is `known` more exactly, mean over the area of that."""
     few = known.take(slice(None, None, len(known.level) // MOST_COMPARED + 1))

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...core.indirect.around import LightAt, joined, thinned
 from ...core.indirect.media import MediaGrid
 from ...core.indirect.sites import hashed
 from ...core.indirect.surfels import Surfels
@@ -31,7 +30,6 @@ THINNER = 0.25  # along the normal
 ALIKE = 0.9  # cosine between normals of surfels and of receivers next to theirs that light them, too
 SMALLEST_SHARE = 10.0  # percent of surfels that are smaller than what is told apart
 TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], np.float32) / np.float32(3**0.5)
-KNOWN_APART = 3.0  # times as far as surfels are those places apart of which it is kept what falls on them
 LIFTED = 0.05  # radii of a surfel, by which its receiver lies above it
 
 
@@ -161,7 +159,8 @@ class Baker:
             total = total + self._scattered(receivers, gain)
             falls.append(gain.surfels[..., :3])
         baked = yield from self._finished(total)
-        return replace(baked, received=_received(self._surfels, receivers, falls))
+        apart = np.bincount(receivers.others[0], self._surfels.area, len(receivers.rows)) ** 0.5
+        return replace(baked, received=_received(at, apart, falls))
 
     @property
     def _shining(self) -> np.ndarray:
@@ -267,25 +266,20 @@ class Baker:
         self._light = None
 
 
-def _received(surfels: Surfels, receivers: BounceReceivers, falls: list[np.ndarray]) -> np.ndarray:
-    """(K, 10) float32: `received` of BakedLight, by what falls on receivers: the sum of `falls` (2, R, 3), and of one
-    more, which gathers of pictures add."""
+def _received(at: Surfels, apart: np.ndarray, falls: list[np.ndarray]) -> np.ndarray:
+    """(K, 10) float32: `received` of BakedLight, by what falls on receivers (R,), which are `apart` (R,): the sum of
+    `falls` (2, R, 3), and of one more, which gathers of pictures add."""
     if len(falls) < 2:
         return np.zeros((0, 10), np.float32)  # lamps' light would be missing
     before, last = (float(one.sum(dtype=float)) for one in falls[-2:])
     more = min(last / max(before, 1e-30), MOST_LEFT)
-    light = receivers.spread(np.sum(falls, axis=0) + np.float32(more) * falls[-1])
-    inside = ~surfels.closed & surfels.normal.any(axis=1)
+    light = np.sum(falls, axis=0) + np.float32(more) * falls[-1]
+    level = np.ceil(np.log2(np.maximum(apart, 1e-30)))
     parts = []
-    for side, sign, shown in ((0, 1, slice(None)), (1, -1, inside)):
-        normal = np.float64(sign) * surfels.normal[shown]
-        found = np.zeros((len(normal), 8), np.float32)
-        found[:, :3] = light[side][shown]
-        level = 0.5 * np.log2(np.maximum(surfels.area[shown], 1e-30))
-        place, none = surfels.position[shown].astype(np.float64), np.zeros(len(normal), bool)
-        parts.append(LightAt(place, normal, level, found, none))
-    few = thinned(joined(parts), KNOWN_APART)
-    return np.column_stack([few.position, few.normal, few.found[:, :3], few.level]).astype(np.float32)
+    for side, shown in ((0, slice(None)), (1, ~at.closed & at.normal.any(axis=1))):
+        normal = (1 - 2 * side) * at.normal[shown]
+        parts.append(np.column_stack([at.position[shown], normal, light[side][shown], level[shown]]))
+    return np.concatenate(parts).astype(np.float32)
 
 
 def _not_of_lamps(found: np.ndarray, weight: np.ndarray, shines: np.ndarray, lit: np.ndarray) -> float:
@@ -320,7 +314,9 @@ def bounce_receivers(surfels: Surfels, most: int, apart: np.ndarray) -> BounceRe
     thin = np.where(np.abs(SIDE_AXES.T[face]) > 0.5, THINNER, 1.0)
     away = surfels.position - surfels.position.min(axis=0)
     fills = np.minimum(whole / np.maximum(apart * apart, 1e-30), 1.0)  # of a cell
-    scale = max(float((fills * np.where(surfels.closed, 1, 2)).sum()) / most, 1.0) ** 0.5
+    # From here on cells grow until receivers are few enough. Both sides of a cell count, but where surfaces end or turn
+    # they fill cells in part.
+    scale = max(float(fills.sum()) / most, 1.0) ** 0.5
     while True:
         at = away / (scale * thin * across)
         cell = np.floor(at)
@@ -330,7 +326,7 @@ def bounce_receivers(surfels: Surfels, most: int, apart: np.ndarray) -> BounceRe
         open_ones = np.count_nonzero(~surfels.closed[order][new])
         if np.count_nonzero(new) + open_ones <= most or not cell.any():
             break
-        scale *= 1.25
+        scale *= 1.1
     group = np.empty(len(key), np.int64)
     group[order] = np.cumsum(new) - 1
     # The surfel nearest to the middle of each.

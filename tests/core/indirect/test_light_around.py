@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.indirect.around import LightAround, LightAt, joined, matched, thinned
+from pointsplat_addon.core.indirect.around import LightAround, LightAt, joined, matched
 from pointsplat_addon.core.indirect.sites import sites
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -105,11 +105,3 @@ def test_any_scale(times):
         for by, up in ((1.0, 0.0), (times, exponent))
     )
     np.testing.assert_array_equal(one, other)
-
-
-def test_of_cells_their_means_are_left():
-    at = floor(-4.0)
-    light = known(at, UP, -4.0, 1 + at[:, :1] * 0.3)
-    few = thinned(light, 3.0)
-    assert len(few.level) < len(at) / 8
-    np.testing.assert_allclose(few.found[:, 0], 1 + few.position[:, 0] * 0.3, rtol=1e-6)
