@@ -7,6 +7,7 @@
 // as it is large. Nodes behind cells that are covered are passed over. What surfaces cover adds up, so that they are tight; leaves
 // and hairs hide each other as if they lay there by chance. PS_GLOSSY: out_glossy is wanted. PS_MEDIA: media hide and send light, too, along PS_RAYS x PS_RAYS rays through each cell.
 // PS_EVERY_SIDE: of a hemisphere, half of what a receiver within a medium sees: without the cosine.
+// PS_MOMENTS, with it: in place of out_diffuse, moments over the hemisphere of what is seen, as of core/indirect/moments.py.
 
 #include "lib/light/environment.glsl"
 #include "lib/indirect/tree.glsl"
@@ -363,6 +364,11 @@ void main()
     }
   } while (part < count || left != 0);
 
+#ifdef PS_MOMENTS
+  vec3 moment_0 = vec3(0.0), moment_x = vec3(0.0), moment_y = vec3(0.0), moment_z = vec3(0.0), surfaces_0 = vec3(0.0);
+  vec4 second = vec4(0.0), open_sky = vec4(0.0);
+  float last = 0.0;
+#endif
   float of_sky = 0.0, whole = 0.0, whole_lobe = 0.0, open_lobe = 0.0;
   for (int y = 0; y < PS_CELLS; y++) {
     for (int x = 0; x < PS_CELLS; x++) {
@@ -396,10 +402,11 @@ void main()
       air.all /= all_shares;
       air.left /= all_shares;
       vec3 sent = mix(air.all, air.before, tight);
-      sum.diffuse += ps_light[i] * (scale * air.left_before) + weight * sent;
+      vec3 of_surfaces = ps_light[i] * (scale * air.left_before) + weight * sent;
 #else
-      sum.diffuse += ps_light[i] * scale;
+      vec3 of_surfaces = ps_light[i] * scale;
 #endif
+      sum.diffuse += of_surfaces;
       // What is open of a cell that is covered in part is where it is not: on the other side of its middle.
       float left_weight = left > 1e-3 ? clamp(weight - ps_weight[i] * scale, 0.0, weight) : 0.0;
       whole += weight;
@@ -428,8 +435,32 @@ void main()
 #endif
       sum.diffuse += sky;
       of_sky += dot(sky, vec3(1.0 / 3.0));
+#ifdef PS_MOMENTS
+      vec3 to = direction.x * tangent + direction.y * across + direction.z * n, all = of_surfaces + sky;
+      moment_0 += all;
+      moment_x += all * to.x;
+      moment_y += all * to.y;
+      moment_z += all * to.z;
+      float mean = dot(all, vec3(1.0 / 3.0));
+      second += mean * vec4(to.x * to.y, to.y * to.z, 3.0 * to.z * to.z - 1.0, to.x * to.z);
+      last += mean * (to.x * to.x - to.y * to.y);
+      surfaces_0 += of_surfaces;
+      float shows = left_weight;
+#ifdef PS_MEDIA
+      shows *= dot(vec3(air.left), vec3(1.0 / 3.0));
+#endif
+      open_sky += vec4(1.0, to) * shows;
+#endif
     }
   }
+#ifdef PS_MOMENTS
+  out_moments_0 = vec4(moment_0, moment_x.r);
+  out_moments_1 = vec4(moment_x.gb, moment_y.rg);
+  out_moments_2 = vec4(moment_y.b, moment_z);
+  out_moments_3 = second;
+  out_moments_4 = vec4(last, surfaces_0);
+  out_moments_5 = open_sky;
+#else
 #ifdef PS_GLOSSY
   out_glossy = vec4(sum.glossy, open_lobe) / max(whole_lobe, 1e-30);
 #endif
@@ -437,4 +468,5 @@ void main()
   sum.nearness = of_sky;
 #endif
   out_diffuse = vec4(sum.diffuse, sum.nearness) / whole;
+#endif
 }

@@ -53,8 +53,9 @@ class Slices:
 class KnownSites:
     """What was gathered at sites (core/indirect/sites.py), by their keys: it depends on nothing else."""
 
-    def __init__(self) -> None:
-        self._keys, self._found = np.zeros(0, np.uint64), np.zeros((0, 8), np.float32)
+    def __init__(self, columns: int) -> None:
+        """`columns`: numbers that are kept for each."""
+        self._keys, self._found = np.zeros(0, np.uint64), np.zeros((0, columns), np.float32)
 
     def lookup(
         self,
@@ -63,7 +64,7 @@ class KnownSites:
         gather: Callable[[np.ndarray], np.ndarray],
         slices: Slices,
     ) -> np.ndarray:
-        """Returns (N, 8) for keys (N,). `gather` returns it for rows (n,) of those that are not known.
+        """Returns (N, columns) for keys (N,). `gather` returns it for rows (n,) of those that are not known.
 
         `order` (N,): those that are alike follow each other, so that they are in one slice. Cancelled: `slices` put
         the rest off; what was gathered until then is kept.
@@ -73,7 +74,7 @@ class KnownSites:
         known = np.zeros(len(unique), bool)
         within = at < len(self._keys)
         known[within] = self._keys[at[within]] == unique[within]
-        found = np.empty((len(unique), 8), np.float32)
+        found = np.empty((len(unique), self._found.shape[1]), np.float32)
         found[known] = self._found[at[known]]
         missing = np.flatnonzero(~known)
         missing = missing[np.argsort(order[first[missing]], kind="stable")]
@@ -85,7 +86,7 @@ class KnownSites:
         return found[inverse]
 
     def _add(self, rows: np.ndarray, keys: np.ndarray, found: np.ndarray) -> None:
-        """Keeps what was found, (N, 8) at keys (N,), of rising rows (n,) of rising keys."""
+        """Keeps what was found, (N, columns) at keys (N,), of rising rows (n,) of rising keys."""
         if len(self._keys) > MOST_KNOWN:
             self._keys, self._found = keys[rows], found[rows]
             return

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...core.indirect.around import LightAround, LightAt, joined, matched
+from ...core.indirect.moments import MOMENTS
 from ...core.light.light_table import light_texture
 from ...core.numeric.morton import morton_codes
 from ...core.numeric.record import record
@@ -54,7 +55,7 @@ class IndirectLight:
         self._root, self.media = len(baked.nodes) - 1, baked.media
         self._table = light_texture((), world, np.eye(4))
         self._textures: dict[str, Texture] = {}
-        self.known = KnownSites()
+        self.known, self.known_moments = KnownSites(8), KnownSites(MOMENTS)
         self._received = None if baked.received is None else _light_at(baked.received)
         self._remembered: list[LightAt] = []  # what was gathered
         self._around: LightAround | None = None
@@ -111,6 +112,18 @@ class IndirectLight:
         sharpness = np.ones(count, np.float32) if sharpness is None else sharpness
         return self._gathered(program, (position, normal, mirror, sharpness), 1.0, sky)
 
+    def moments(self, position: np.ndarray, sky: dict[str, Texture]) -> np.ndarray:
+        """Gathers from all sides at places (N, 3): (N, 24) float32, as of core/indirect/moments.py. Otherwise as
+        `gathered`."""
+        program = gather_program(
+            self._names, False, media=self.media is not None, colored=self._colored, moments=True
+        )
+        found = np.zeros((len(position), MOMENTS), np.float32)
+        for sign in (1.0, -1.0):
+            up = np.broadcast_to(np.array([0.0, 0.0, sign]), position.shape)
+            found += self._gathered(program, (position, up, up, np.ones(len(position))), 1.0, sky)
+        return found
+
     def bounced(self, position: np.ndarray, normal: np.ndarray, sky: float, pictures: dict[str, Texture]) -> np.ndarray:
         """Gathers less finely, by `sky` times the world's light: (N, 4) float32, irradiance over pi and the mean of
         what the world has in it. Otherwise as `gathered`."""
@@ -148,8 +161,7 @@ class IndirectLight:
         textures = {name: texture for name, texture in textures.items() if name in wanted}
         made = Gather(device, texture, program, record, textures)
         try:
-            found = (made.diffuse, made.glossy) if len(program.outputs) > 1 else (made.diffuse,)
-            return np.concatenate([device.read(item).reshape(-1, 4)[rows] for item in found], axis=1)
+            return np.concatenate([device.read(item).reshape(-1, 4)[rows] for item in made.textures], axis=1)
         finally:
             made.release()
             texture.release()

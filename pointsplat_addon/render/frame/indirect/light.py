@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ....core.indirect.around import LightAt
+from ....core.indirect.moments import irradiance, lobes
 from ....core.indirect.sites import Sites, hashed, quantised_directions, scrambled
 from ...device.packing import paged
 from ...device.protocol import Device, Target, Texture
@@ -24,6 +25,7 @@ from ..uploads.uploads import Uploads
 from .known import Known
 from .mirrors import Mirrors, Shown
 from .receivers import Groups, Receivers, choose_receivers, directions_to_eye, sites_of, sole_groups
+from .scattered import WIDER, Scattered, scattered_cells
 
 SIDES = 4 * TILE, 2 * TILE, TILE  # of squares of pixels that have receivers, one after the other
 FEWEST_IN_TILE = 3  # groups of a surface in a square, from which on it has a receiver there beside that of the largest
@@ -171,14 +173,19 @@ class GroupsInIndirectLight:
         sole = sole_groups(groups, view)
         known = Known(groups.position.astype(np.float32), groups.normal)
         rim = (up[:, 3] >= 0) & ((up[:, :3] * to_eye).sum(axis=1) < RIM)
+        scattered = scattered_cells(groups, chosen)
         for side in SIDES:
             fewest = side * side // FEWEST_SHARE
             wanted = chosen if side == TILE else choose_receivers(groups, view, side, fewest, False)
             found, valid = known.interpolated(wanted.rows, wanted.pixels)
-            found[~valid] = self._gathered_by(groups, wanted, ~valid, view, sole, to_eye, up)
+            level = wanted.level + WIDER - np.log2(side / TILE)
+            turned = ~valid & scattered.hold(groups.position[wanted.rows], level)
+            alone = ~valid & ~turned
+            found[alone] = self._gathered_by(groups, wanted, alone, view, sole, to_eye, up)
             if side > TILE:
-                known.add(wanted, side, found, ~valid)
+                known.add(wanted, side, found, alone)
             else:
+                found[turned] = self._gathered_around(groups, wanted, turned, scattered, to_eye, up)
                 # Of lobes alone: what falls on a surface is the same in a picture of a term that has none.
                 lobes = valid & rim[wanted.rows]
                 found[lobes, 4:] = self._gathered_by(groups, wanted, lobes, view, sole, to_eye, up)[:, 4:]
@@ -197,6 +204,34 @@ class GroupsInIndirectLight:
         """(n, 8): what some of receivers, (R,) bool, gather."""
         rows, level = wanted.rows[some], wanted.level[some]
         return self._gathered(sites_of(groups, rows, level, view, sole), level, to_eye[rows], up[rows, 3])
+
+    def _gathered_around(
+        self,
+        groups: Groups,
+        wanted: Receivers,
+        some: np.ndarray,
+        scattered: Scattered,
+        to_eye: np.ndarray,
+        up: np.ndarray,
+    ) -> np.ndarray:
+        """(n, 8): what some of receivers, (R,) bool, receive where light is gathered for all that is in a cell."""
+        assert self._slices is not None
+        light, rows, found = self._light, wanted.rows[some], np.zeros((np.count_nonzero(some), 8), np.float32)
+        if len(rows) == 0:
+            return found
+        at = scattered.position
+        order = coherent_rows(at, np.ones_like(at))
+        moments = light.known_moments.lookup(
+            scattered.site, order, lambda some: light.moments(at[some], self._sky), self._slices
+        )
+        position, normal = groups.position[rows], groups.normal[rows].astype(np.float64)
+        moments = scattered.between(position, wanted.level[some] + WIDER, moments)
+        found[:, :3] = irradiance(moments, normal)
+        smooth = up[rows, 3] >= 0
+        mirror = 2 * (normal * to_eye[rows]).sum(axis=1, keepdims=True) * normal - to_eye[rows]
+        found[smooth, 4:] = lobes(moments[smooth], mirror[smooth], lobe_sharpness(up[rows[smooth], 3]))
+        light.remember(LightAt(position, normal, wanted.level[some], found, smooth))
+        return found
 
     def _estimated(self, groups: Groups, up: np.ndarray, chosen: Receivers) -> np.ndarray:
         """(R, 8): what receivers are likely to gather, by what is known around them."""

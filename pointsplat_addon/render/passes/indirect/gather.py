@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ....core.indirect.moments import MOMENTS
 from ....shading.interface import Interface
 from ...device.protocol import Device, Texture
 from ..uniforms import Fields, block
@@ -29,21 +30,26 @@ def gather_program(
     media: bool = False,
     every_side: bool = False,
     colored: bool = False,
+    moments: bool = False,
 ) -> Interface:
     """Returns the program that gathers. `world`: the PS_ names of the sky. `glossy`: what smooth surfaces mirror.
     `bounces`: light for surfaces that light others. `media`: there are some; its block is then GATHER_MEDIA_BLOCK.
     `every_side`: for receivers within media, of each of two hemispheres. `colored`: extinction of media differs between
-    the channels."""
+    the channels. `moments`: of what is seen all around, of each of two hemispheres."""
     lights = (("FLOAT_2D", "ps_lights"),) if world else ()
     picture = (("FLOAT_2D", "ps_environment"),) if "PS_HAS_ENVIRONMENT" in world else ()
     names = (*world, *(("PS_GLOSSY",) if glossy else ()), *(("PS_BOUNCES",) if bounces else ()))
-    names += (*(("PS_MEDIA",) if media else ()), *(("PS_EVERY_SIDE",) if every_side else ()))
+    names += (*(("PS_MEDIA",) if media else ()), *(("PS_EVERY_SIDE",) if every_side or moments else ()))
+    names += ("PS_MOMENTS",) if moments else ()
     names += ("PS_MEDIA_COLORED",) if media and colored else ()
     cells, rays = (BOUNCE_CELLS, BOUNCE_RAYS) if bounces else (CELLS, RAYS)
     of_media = (("PS_MEDIA_WIDTH", str(MEDIA_WIDTH)), ("PS_RAYS", str(rays))) if media else ()
+    outputs = (("vec4", "out_diffuse"), *((("vec4", "out_glossy"),) if glossy else ()))
+    if moments:
+        outputs = tuple(("vec4", f"out_moments_{k}") for k in range(MOMENTS // 4))
     return Interface(
         "gather", fragment="indirect/gather.frag", block=GATHER_MEDIA_BLOCK if media else GATHER_BLOCK,
-        outputs=(("vec4", "out_diffuse"), *((("vec4", "out_glossy"),) if glossy else ())),
+        outputs=outputs,
         samplers=(*(("FLOAT_2D", name) for name in ("ps_nodes", "ps_receivers")), *lights, *picture,
                   *((("FLOAT_2D", "ps_media"),) if media else ())),
         defines=(("PS_NODE_WIDTH", str(NODE_WIDTH)), ("PS_CELLS", str(cells)),
@@ -63,6 +69,11 @@ class Gather:
         self._target = device.target(self._textures)
         device.clear(self._target)
         device.draw(program, self._target, uniforms=record, textures={**textures, "ps_receivers": receivers})
+
+    @property
+    def textures(self) -> tuple[Texture, ...]:
+        """All of it."""
+        return tuple(self._textures)
 
     @property
     def diffuse(self) -> Texture:
