@@ -115,9 +115,7 @@ class IndirectLight:
     def moments(self, position: np.ndarray, sky: dict[str, Texture]) -> np.ndarray:
         """Gathers from all sides at places (N, 3): (N, 24) float32, as of core/indirect/moments.py. Otherwise as
         `gathered`."""
-        program = gather_program(
-            self._names, False, media=self.media is not None, colored=self._colored, moments=True
-        )
+        program = gather_program(self._names, False, media=self.media is not None, colored=self._colored, moments=True)
         found = np.zeros((len(position), MOMENTS), np.float32)
         for sign in (1.0, -1.0):
             up = np.broadcast_to(np.array([0.0, 0.0, sign]), position.shape)
