@@ -85,7 +85,7 @@ def build() -> bpy.types.Scene:
     data.dof.aperture_blades, data.dof.aperture_rotation = 6, 0.2
     scene.render.resolution_x, scene.render.resolution_y = SIZE
     scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
-    scene.pointsplat.dof_method = "LENS_SAMPLES"
+    scene.pointsplat.dof_method, scene.pointsplat.use_indirect = "LENS_SAMPLES", False
     cycles = scene.cycles
     cycles.device, cycles.max_bounces = "CPU", 0
     cycles.use_adaptive_sampling = cycles.use_denoising = False

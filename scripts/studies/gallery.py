@@ -144,7 +144,8 @@ class Studio:
         scene = self.scene
         look_from(scene, direction)
         scene.render.engine = "POINTSPLAT"
-        scene.pointsplat.tolerance, scene.pointsplat.samples = tolerance, samples
+        settings = scene.pointsplat
+        settings.tolerance, settings.samples, settings.use_indirect = tolerance, samples, False
         self.model.pointsplat.primitive = primitive
         return picture(scene, self.path)
 

@@ -177,7 +177,7 @@ def draw(scene: bpy.types.Scene, folder: Path, engine: str, samples: int) -> np.
     scene.render.engine = engine
     scene.cycles.samples = samples
     if engine == "POINTSPLAT":
-        scene.pointsplat.samples = samples
+        scene.pointsplat.samples, scene.pointsplat.use_indirect = samples, False
     scene.render.filepath = str(folder / "frame.exr")
     bpy.ops.render.render(write_still=True)
     image = bpy.data.images.load(scene.render.filepath)

@@ -43,6 +43,7 @@ def empty_file() -> Iterator[None]:
     pointsplat_addon.register()
     bpy.ops.wm.read_factory_settings(use_empty=True)
     pointsplat_addon.register()
+    bpy.context.scene.pointsplat.use_indirect = False  # direct light alone
     yield
     pointsplat_addon.unregister()
 

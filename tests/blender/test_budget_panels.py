@@ -16,6 +16,7 @@ from pointsplat_addon.host.ui import last_render, panels
 def empty_file():
     pointsplat_addon.register()
     bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.scene.pointsplat.use_indirect = False  # direct light alone
     last_render.REPORT.clear()
     yield
     pointsplat_addon.unregister()

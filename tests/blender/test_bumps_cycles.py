@@ -17,6 +17,7 @@ def scene():
     """A sun and a camera that looks down at the origin."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     pointsplat_addon.register()
+    bpy.context.scene.pointsplat.use_indirect = False  # direct light alone
     scene = bpy.context.scene
     scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     scene.camera.location, scene.camera.rotation_euler = (0, -2.2, 3.2), (np.arctan2(2.2, 3.2), 0, 0)

@@ -19,6 +19,7 @@ NEW_NAMES = bpy.app.version >= (5, 0, 0)
 def empty_file():
     pointsplat_addon.register()
     bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.scene.pointsplat.use_indirect = False  # direct light alone
     yield
     pointsplat_addon.unregister()
 

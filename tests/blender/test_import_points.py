@@ -22,6 +22,7 @@ FAR = np.array([5_000_123.0, 400_456.0, 100.0])
 def empty_scene():
     bpy.ops.wm.read_factory_settings(use_empty=True)
     pointsplat_addon.register()
+    bpy.context.scene.pointsplat.use_indirect = False  # direct light alone
     yield
     pointsplat_addon.unregister()
 

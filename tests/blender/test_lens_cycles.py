@@ -23,6 +23,7 @@ def scene():
     """Nothing but a camera, sharp at a distance of 5."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     pointsplat_addon.register()
+    bpy.context.scene.pointsplat.use_indirect = False  # direct light alone
     scene = bpy.context.scene
     data = bpy.data.cameras.new("camera")
     scene.camera = bpy.data.objects.new("camera", data)

@@ -18,6 +18,7 @@ def scene():
     """Nothing but a camera that looks along y with parallel rays at a square of side 2."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     pointsplat_addon.register()
+    bpy.context.scene.pointsplat.use_indirect = False  # direct light alone
     scene = bpy.context.scene
     data = bpy.data.cameras.new("camera")
     data.type, data.ortho_scale = "ORTHO", 2.0

@@ -27,6 +27,7 @@ COUNT = 20_000
 def empty_scene():
     bpy.ops.wm.read_factory_settings(use_empty=True)
     pointsplat_addon.register()
+    bpy.context.scene.pointsplat.use_indirect = False  # direct light alone
     POOL.clear()
     yield
     pointsplat_addon.unregister()

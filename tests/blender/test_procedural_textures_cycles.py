@@ -225,6 +225,7 @@ def drawn(tmp_path_factory):
     """By case: pixels (SIDE, SIDE, 3) of Cycles and of the expression."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     pointsplat_addon.register()
+    bpy.context.scene.pointsplat.use_indirect = False  # direct light alone
     scene, rows = bpy.context.scene, -(-len(CASES) // COLUMNS)
     center = np.arange(SIDE) + 0.5
     position = np.stack([*np.meshgrid(center, center), np.zeros((SIDE, SIDE))], axis=-1).reshape(-1, 3)

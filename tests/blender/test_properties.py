@@ -38,8 +38,8 @@ def test_every_setting_is_a_property_with_its_default_and_range():
             low, high = Settings.RANGES[field.name]
             assert found.hard_min == pytest.approx(low, rel=1e-7)  # float32
             assert found.hard_max == high
-        assert found.default == field.default
-    assert bpy.context.scene.pointsplat.settings() == Settings()
+        assert found.default == Settings.IN_BLENDER.get(field.name, field.default)
+    assert bpy.context.scene.pointsplat.settings() == Settings(**Settings.IN_BLENDER)
 
 
 @pytest.mark.usefixtures("registered")
@@ -47,7 +47,7 @@ def test_the_pixel_filter_is_blenders():
     render = bpy.context.scene.render
     for given, taken in ((0.0, 0.01), (0.75, 0.75), (500.0, 10.0)):
         render.filter_size = given
-        assert bpy.context.scene.pointsplat.settings() == Settings(filter_size=taken)
+        assert bpy.context.scene.pointsplat.settings() == Settings(filter_size=taken, **Settings.IN_BLENDER)
 
 
 @pytest.mark.usefixtures("registered")

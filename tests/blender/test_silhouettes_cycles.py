@@ -18,6 +18,7 @@ def scene():
     """A monkey's head that fills most of the picture, and nothing behind."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     pointsplat_addon.register()
+    bpy.context.scene.pointsplat.use_indirect = False  # direct light alone
     scene = bpy.context.scene
     data = bpy.data.cameras.new("camera")
     data.lens = 40

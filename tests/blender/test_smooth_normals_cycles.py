@@ -18,6 +18,7 @@ def scene():
     """Strips along x in the plane z = 0, each with a normal of its own in the plane y = 0; a sun and a camera there."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     pointsplat_addon.register()
+    bpy.context.scene.pointsplat.use_indirect = False  # direct light alone
     scene = bpy.context.scene
     corners = np.array([(-20, 0, 0), (20, 0, 0), (20, 1, 0), (-20, 1, 0)], float)
     places = np.concatenate([corners + np.array([0, i, 0]) for i in range(len(TILTS))])

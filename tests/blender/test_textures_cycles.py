@@ -55,6 +55,7 @@ def scene():
     """A square for each case, seen straight on."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     pointsplat_addon.register()
+    bpy.context.scene.pointsplat.use_indirect = False  # direct light alone
     scene, rng, rows = bpy.context.scene, np.random.default_rng(3), len(CASES) // COLUMNS
     for i, case in enumerate(CASES):
         x, y = i % COLUMNS, i // COLUMNS

@@ -505,6 +505,7 @@ def set_up(scene: Any, device: str) -> None:
         image.media_type = "MULTI_LAYER_IMAGE"
     image.file_format, image.color_depth, image.exr_codec = "OPEN_EXR_MULTILAYER", "32", "NONE"
     scene.pointsplat.samples, scene.pointsplat.device, scene.pointsplat.budget = SAMPLES, device, "NONE"
+    scene.pointsplat.use_indirect = False  # unless a way has it
 
 
 def draw_on_blenders_gpu(folder: Path, names: list[str]) -> int:

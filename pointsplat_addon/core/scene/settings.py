@@ -22,7 +22,8 @@ LIGHTINGS = ("CAPTURED", "SHADOWED", "RELIT")  # of captured splats
 class Settings:
     """The only defaults and ranges: Blender's properties (scene.pointsplat) are made from this table.
 
-    OF_BLENDER: fields that Blender has properties of its own for, in scene.render.
+    OF_BLENDER: fields that Blender has properties of its own for, in scene.render. IN_BLENDER: what new scenes of
+    Blender's have in place of a default: a record that asks for nothing has direct light alone, a person expects all.
     """
 
     technique: str = "AUTO"  # one of TECHNIQUES
@@ -48,6 +49,7 @@ class Settings:
     device: str = "AUTO"  # one of DEVICES
 
     OF_BLENDER: ClassVar[frozenset[str]] = frozenset({"filter_size"})
+    IN_BLENDER: ClassVar[dict[str, bool]] = {"use_indirect": True}
     RANGES: ClassVar[dict[str, tuple[float, float]]] = {
         "tolerance": (0.05, 64.0),
         "samples": (1, 4096),

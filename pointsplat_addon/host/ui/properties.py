@@ -52,7 +52,11 @@ class PointSplatScene(bpy.types.PropertyGroup):
     """Settings of the render engine; one property for each field of core.scene.settings.Settings that Blender does not
     have."""
 
-    __annotations__ = {f.name: _property(f.name, f.default) for f in fields(Settings) if f.name not in OF_BLENDER}
+    __annotations__ = {
+        f.name: _property(f.name, Settings.IN_BLENDER.get(f.name, f.default))
+        for f in fields(Settings)
+        if f.name not in OF_BLENDER
+    }
 
     def settings(self) -> Settings:
         """The present values; those of Blender's own properties within the ranges that PointSplat has."""

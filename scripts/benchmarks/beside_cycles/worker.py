@@ -56,7 +56,7 @@ def work(
     if native:
         own.seed = seed
     else:
-        own.technique = program
+        own.technique, own.use_indirect = program, False  # unless settings have it: Cycles' scenes are without bounces
     for name, value in settings.items():
         setattr(own, name, value)
     reports = []

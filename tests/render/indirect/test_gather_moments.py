@@ -40,19 +40,19 @@ def plane(side: float, cells: int, axis: int = 2, at: float = 0.0, up: float = 1
 
 
 def test_surfaces_above_a_black_floor_see_half_a_sky():
-    """Turned by an angle t from the zenith, a surface has (1 + cos t) / 2 of the sky. Found: off by 0.029 at most, 0.013
-    on average, next to the horizon, and by 0.020 the open share of the sky."""
+    """Turned by an angle t from the zenith, a surface has (1 + cos t) / 2 of the sky. Found: off by 0.029 at most,
+    0.013 on average, and by 0.0097 the open share of the sky."""
     found = seen(plane(400.0, 200), 0.0, (0.3, 0.2, 1.0), 1.0)
     expected = 0.5 * (1 + TURNED[:, 2])
     off = np.abs(irradiance(found, TURNED)[:, 0] - expected)
     assert off.max() < 0.035
     assert off.mean() < 0.016
-    assert np.abs(lobes(found, TURNED, np.full(64, 1e-3))[:, 3] - 0.5).max() < 0.025
+    assert np.abs(lobes(found, TURNED, np.full(64, 1e-3))[:, 3] - 0.5).max() < 0.012
 
 
 def test_all_sides_of_a_closed_room_are_as_bright():
-    """Walls that send 1, in a cube of 2: each surface within has an irradiance of pi, and each lobe shows 1. Found: off by
-    0.0102 and 0.0146 at most."""
+    """Walls that send 1, in a cube of 2: each surface within has an irradiance of pi, and each lobe shows 1. Found:
+    off by 0.0102 and 0.0146 at most."""
     walls = joined([plane(2.0, 40, axis, at, -at) for axis in range(3) for at in (1.0, -1.0)])
     for place in ((0.0, 0.0, 0.0), (0.7, -0.5, 0.9)):
         found = seen(walls, 1.0, place, 0.0)

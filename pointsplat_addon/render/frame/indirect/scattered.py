@@ -1,5 +1,5 @@
-"""Cells in which things are turned all ways, as balls, hairs and leaves are: light is gathered once for all of them, from
-all sides, where each would need a receiver of its own."""
+"""Cells in which things are turned all ways, as balls, hairs and leaves are: light is gathered once for all of them,
+from all sides, where each would need a receiver of its own."""
 
 from __future__ import annotations
 
