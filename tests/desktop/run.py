@@ -103,6 +103,7 @@ def fill_scene():
     """The start-up cube as polygons, a dense monkey as points, on a plane."""
     scene = bpy.context.scene
     scene.render.engine = "POINTSPLAT"
+    scene.pointsplat.use_indirect = False  # one part looks at it
     bpy.ops.mesh.primitive_plane_add(size=9, location=(0, 0, -1))
     bpy.ops.mesh.primitive_monkey_add(size=2, location=(2.4, -1.2, 0.2))
     monkey = bpy.context.object
