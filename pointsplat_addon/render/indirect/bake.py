@@ -46,13 +46,13 @@ class BounceReceivers:
 
     def spread(self, found: np.ndarray) -> np.ndarray:
         """Returns for all surfels (2, N, C) what receivers have gathered, (2, R, C)."""
-        channels = np.moveaxis(found, 1, 2).reshape(-1, found.shape[1])
+        channels = np.moveaxis(found, 1, 2).reshape(2 * found.shape[2], found.shape[1])
         whole = np.zeros((len(channels), self.others.shape[1]), np.float32)
         # Channel by channel, which stay in the processor's cache.
         for out, channel in zip(whole, np.ascontiguousarray(channels, np.float32), strict=True):
             for other, weight in zip(self.others, self.weights, strict=True):
                 out += channel.take(other) * weight
-        return np.moveaxis(whole.reshape(2, found.shape[2], -1), 2, 1)
+        return np.moveaxis(whole.reshape(2, found.shape[2], self.others.shape[1]), 2, 1)
 
 
 @record
