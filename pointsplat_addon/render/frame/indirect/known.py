@@ -18,6 +18,7 @@ STEEP = 0.2  # and from their mean: shadows have edges
 FLAT = 1e-3  # squared distance, over that of the widest square, below which they tell no slope
 LEVER = 4.0  # variance of a plane there over that of one receiver, above which it would be drawn out too far
 MOST_IN_TILE = 4  # receivers of one square that are looked at
+TOGETHER = 2048  # groups that are looked at together: pairs of these and of receivers stay in the processor's cache
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of (1, x, y)
 
 
@@ -37,8 +38,16 @@ class Known:
 
     def interpolated(self, rows: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(n, 8) at the groups `rows` (n,), at `pixels` (n, 2), and whether what is known tells it, (n,) bool."""
+        found, known = np.zeros((len(rows), 8), np.float32), np.zeros(len(rows), bool)
+        for begin in range(0, len(rows), TOGETHER):
+            some = slice(begin, begin + TOGETHER)
+            found[some], known[some] = self._interpolated(rows[some], pixels[some])
+        return found, known
+
+    def _interpolated(self, rows: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `interpolated`."""
         count = len(rows)
-        totals = np.zeros((32, count))
+        totals = np.zeros((32, count))  # of products of (1, x, y) with what receivers have, and with (1, x, y); others
         place, normal = (np.ascontiguousarray(of[rows].T) for of in (self._position, self._normal))
         for receivers, side, found, valid in self._sizes:
             own, other = _around(receivers, valid, np.floor(pixels / side).astype(np.int64))
