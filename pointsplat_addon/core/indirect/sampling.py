@@ -126,8 +126,9 @@ def _parts(mesh: Mesh, spacing: Spacing) -> tuple[_Parts, np.ndarray, np.ndarray
         apex = edges.take(parted, axis=1).argmax(axis=0)
         triangle = np.tile(triangle[parted], 2)
         weights, corners = (_halves(one.take(parted, axis=2), apex) for one in (weights, corners))
-    weights, triangle, *others = (np.concatenate(parts, axis=-1) for parts in zip(*done, strict=True))
-    return _Parts(weights, triangle), *others
+    whole = [np.concatenate(parts, axis=-1) for parts in zip(*done, strict=True)]
+    weights, triangle, corners, product, apart = whole
+    return _Parts(weights, triangle), corners, product, apart
 
 
 def _halves(corners: np.ndarray, apex: np.ndarray) -> np.ndarray:

@@ -173,12 +173,11 @@ def _with_look(mesh: Mesh, table: MaterialTable, made: LightSamples, kind: tuple
     """Surfels at samples that were taken of the mesh, or of it where it stands."""
     samples = made.samples
     look = scattered_at(mesh, samples, table)
-    rows = material_ids(mesh, samples)
+    rows = np.minimum(material_ids(mesh, samples), len(table) - 1)
     albedo, emission = _look(rows, look.color, look.surface, look.emission, table)
     closed, scattered = (np.full(len(samples), flag) for flag in kind)
-    of_mesh = (made.position, made.normal, made.area), (albedo, emission, made.edge)
-    (position, normal, area), of_look = ([of.astype(np.float32, copy=False) for of in part] for part in of_mesh)
-    surfels = Surfels(np.zeros(3), position, normal, area, closed, scattered, *of_look, made.half)
+    position, normal, area, edge = (of.astype(np.float32) for of in (made.position, made.normal, made.area, made.edge))
+    surfels = Surfels(np.zeros(3), position, normal, area, closed, scattered, albedo, emission, edge, made.half)
     return surfels if look.alpha is None else surfels.take(np.flatnonzero(look.alpha >= CLIP))
 
 

@@ -95,7 +95,8 @@ def _around(receivers: Receivers, valid: np.ndarray, tile: np.ndarray) -> tuple[
     there = np.where(within, np.minimum(entry[..., 1], MOST_IN_TILE), 0).ravel()
     other = ranges(entry[..., 0].ravel(), there)
     own = np.repeat(np.arange(len(tile)), there.reshape(-1, 9).sum(axis=1))
-    return _those(valid[other], own, other)
+    own, other = _those(valid[other], own, other)
+    return own, other
 
 
 def _those(which: np.ndarray, *of: np.ndarray) -> list[np.ndarray]:
