@@ -34,7 +34,9 @@
 #define PS_TIGHTENED 3.0
 // How large nodes may be whose surfaces are turned to all sides, over those that are flat: one mean radiance stands for all.
 #define PS_TURNED 0.25
-#define PS_SCATTERED 4.0  // the same of leaves and hairs, which need not be tight
+#define PS_LEAVES 8.0  // the same of leaves, which need not be tight
+#define PS_HAIRS 16.0  // and of hairs, of whose area half as much is seen
+#define PS_SPREAD 1.0  // radii of these: the side of the square over which one is spread
 #define PS_ROUND 2.0  // the same of balls, each of which has one radiance
 #define PS_ABOVE 0.05  // radii of a leaf above the receiver's plane from which on it is seen
 #define PS_LOW 0.005  // sine of the height above the horizon, below which nothing is seen
@@ -85,6 +87,7 @@ struct PsSeen {
   vec3 direction;  // unit
   vec3 radiance;  // of what faces the receiver
   float nearness;  // one over its distance
+  float across;  // sides of the square that it is spread over, over its distance; at least a cell and at most two count
   float front, back;  // solid angles of what faces the receiver, and of what does not
 };
 
@@ -134,13 +137,16 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   ps_add_glossy(sum, i, radiance, covers * cell, seen.direction, lobe);
 }
 
-// A piece is smaller than a cell, and counts as a square of a cell's size around it: cells are then covered more evenly than by
-// squares of its own size.
+// A piece of surface is smaller than a cell, and counts as a square of a cell's size around it: cells are then covered more evenly
+// than by squares of its own size. Leaves and hairs together may be larger, and fill up to two by two cells, the nearest.
 void ps_deposit(inout PsGathered sum, PsSeen seen, PsNodeLook look, vec4 lobe)
 {
   float cell = ps_cell_solid_angle(seen.direction);
   vec2 centre = ps_cell_from_direction(seen.direction);
-  vec2 low = clamp(centre - 0.5, vec2(0.0), vec2(PS_CELLS)), high = clamp(centre + 0.5, vec2(0.0), vec2(PS_CELLS));
+  vec2 nearest = floor(centre - 0.5);
+  float reach = clamp(0.5 * seen.across * inversesqrt(cell), 0.5, 1.0);
+  vec2 low = clamp(max(centre - reach, nearest), vec2(0.0), vec2(PS_CELLS));
+  vec2 high = clamp(min(centre + reach, nearest + 2.0), vec2(0.0), vec2(PS_CELLS));
   vec2 sides = max(high - low, 1e-6);
   float share = 1.0 / (sides.x * sides.y);
   ivec2 first = ivec2(low);
@@ -174,7 +180,8 @@ bool ps_behind(vec3 direction, float wide, float cell)
 float ps_sameness(PsNode node, float along)
 {
   float surface = (node.bits & 1 << 21) != 0 ? PS_ROUND : mix(PS_TURNED, 1.0, along * along * along);
-  return (node.bits & 256) != 0 ? PS_SCATTERED : surface;
+  float scattered = (node.bits & 1 << 21) != 0 ? PS_HAIRS : PS_LEAVES;
+  return (node.bits & 256) != 0 ? scattered : surface;
 }
 
 // Octants `there`, a bit each, in the order of their distance from the octant `own`: bit k stands for the one that differs from it
@@ -354,6 +361,7 @@ void main()
       float angle = 0.5 * above * area / (away2 + area / (2.0 * PS_PI));
       PsSeen seen;
       seen.nearness = 1.0 / away;
+      seen.across = look.scattered ? PS_SPREAD * node.radius / away : 0.0;
       seen.front = (both + signed_area) * angle;
       seen.back = (both - signed_area) * angle;
       seen.direction = normalize(vec3(dot(to, tangent), dot(to, across), max(rises, 0.25 * top)));

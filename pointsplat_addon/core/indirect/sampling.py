@@ -56,7 +56,7 @@ class _Parts:
     triangle: np.ndarray
 
     def take(self, rows: np.ndarray) -> _Parts:
-        return _Parts(self.weights[:, :, rows], self.triangle[rows])
+        return _Parts(self.weights.take(rows, axis=2), self.triangle[rows])
 
 
 def light_samples(mesh: Mesh, spacing: Spacing) -> LightSamples:
@@ -65,22 +65,19 @@ def light_samples(mesh: Mesh, spacing: Spacing) -> LightSamples:
     `spacing` tells for places (3, n) float64 in object space how far apart samples are to be there, (n,), and how far
     away the viewer is, (n,), both in object units.
     """
-    parts = _parts(mesh, spacing)
-    corners = _places(mesh, parts.triangle, parts.weights)
-    product = cross(corners[1] - corners[0], corners[2] - corners[0])
+    parts, corners, product, apart = _parts(mesh, spacing)
     twice = np.sqrt(dot(product, product))
-    area, middle = 0.5 * twice, corners.mean(axis=0)
+    area, middle = 0.5 * twice, (corners[0] + corners[1] + corners[2]) / 3
     normal = product / np.maximum(twice, 1e-300)
-    apart, _ = spacing(middle)
     worth = area / np.maximum(apart, 1e-300) ** 2  # samples
     # Parts of triangles that were cut tile these; what is taken together does not.
     cut = np.bincount(parts.triangle, minlength=len(mesh.triangles))[parts.triangle] > 1
     split_up = (worth > 1.0) | (cut & (worth > SMALLEST))
     many, few = np.flatnonzero(split_up), np.flatnonzero(~split_up & (area > 0))
-    split = _split(parts.take(many), corners[:, :, many], worth[many])
+    split = _split(parts.take(many), corners.take(many, axis=2), worth[many])
     pieces = area[many][split.own] * split.share
     small = np.bincount(parts.triangle, worth)[parts.triangle[few]] < 1
-    merged = _merged(middle[:, few], normal[:, few], area[few], worth[few], small)
+    merged = _merged(middle.take(few, axis=1), normal.take(few, axis=1), area[few], worth[few], small)
     together = parts.take(few[merged.row])
     samples = Samples(
         "AREA",
@@ -93,52 +90,54 @@ def light_samples(mesh: Mesh, spacing: Spacing) -> LightSamples:
     return LightSamples(
         samples,
         np.concatenate([split.position, merged.position]),
-        np.concatenate([normal[:, many][:, split.own].T, merged.normal]),
+        np.concatenate([normal.take(many[split.own], axis=1).T, merged.normal]),
         np.concatenate([pieces, merged.area]),
         np.concatenate([split.edge, np.zeros_like(merged.position)]),
         np.append(split.half, np.zeros(len(merged.area), bool)),
     )
 
 
-def _parts(mesh: Mesh, spacing: Spacing) -> _Parts:
-    """Parts of triangles over which the spacing hardly changes, and no slivers."""
+def _parts(mesh: Mesh, spacing: Spacing) -> tuple[_Parts, np.ndarray, np.ndarray, np.ndarray]:
+    """Parts of triangles over which the spacing hardly changes, and no slivers; their corners (3 corners, 3, M), the
+    cross products of their sides (3, M), and how far apart samples are to be there, (M,)."""
     triangle = np.arange(len(mesh.triangles))
     weights = np.zeros((3, 2, len(triangle)))
     weights[1, 0] = weights[2, 1] = 1.0
-    done_weights, done_triangle, count = [], [], 0
-    for _ in range(MOST_CUTS):
-        a, b, c = _places(mesh, triangle, weights)
-        edges = np.stack([dot(edge, edge) for edge in (c - b, a - c, b - a)])
-        longest, squared = edges.argmax(axis=0), edges.max(axis=0)
-        size, product = np.sqrt(squared), cross(b - a, c - a)
+    corners = triangle_corners(mesh, slice(None))
+    done: list[tuple[np.ndarray, ...]] = []
+    count = 0
+    for again in range(MOST_CUTS + 1):
+        a, b, c = corners
+        opposite = c - b, a - c, b - a
+        edges = np.stack([dot(edge, edge) for edge in opposite])
+        squared = edges.max(axis=0)
+        size, product = np.sqrt(squared), cross(opposite[1], opposite[2])
         apart, away = spacing((a + b + c) / 3)
         cut = size > BIGGEST_PART * np.maximum(away - 0.5 * size, 0.0)
         cut |= (size > 0.5 * apart) & (squared > 0.5 * SLIVER * np.sqrt(dot(product, product)))
-        done_weights.append(weights[:, :, ~cut])
-        done_triangle.append(triangle[~cut])
-        count += len(done_triangle[-1])
-        if not cut.any() or count + 2 * np.count_nonzero(cut) > MOST_PARTS:
-            done_weights.append(weights[:, :, cut])
-            done_triangle.append(triangle[cut])
+        found, whole = (weights, triangle, corners, product, apart), np.flatnonzero(~cut)
+        count += len(whole)
+        cuts = len(cut) - len(whole)
+        if cuts == 0 or again == MOST_CUTS or count + 2 * cuts > MOST_PARTS:
+            done.append(found)
             break
-        rows = np.arange(np.count_nonzero(cut))
-        apex = longest[cut]
-        turned = np.stack([weights[:, :, cut][(apex + k) % 3, :, rows] for k in range(3)])  # (corner, M, 2)
-        middle = 0.5 * (turned[1] + turned[2])
-        halves = np.stack(
-            [np.concatenate(pair) for pair in ((turned[0], turned[0]), (turned[1], middle), (middle, turned[2]))]
-        )
-        weights, triangle = np.ascontiguousarray(halves.transpose(0, 2, 1)), np.tile(triangle[cut], 2)
-    else:
-        done_weights.append(weights)
-        done_triangle.append(triangle)
-    return _Parts(np.concatenate(done_weights, axis=2), np.concatenate(done_triangle))
+        done.append(tuple(one.take(whole, axis=-1) for one in found))
+        parted = np.flatnonzero(cut)
+        apex = edges.take(parted, axis=1).argmax(axis=0)
+        triangle = np.tile(triangle[parted], 2)
+        weights, corners = (_halves(one.take(parted, axis=2), apex) for one in (weights, corners))
+    whole = [np.concatenate(parts, axis=-1) for parts in zip(*done, strict=True)]
+    weights, triangle, corners, product, apart = whole
+    return _Parts(weights, triangle), corners, product, apart
 
 
-def _places(mesh: Mesh, triangle: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """(3 corners, 3, M) float64 of parts of triangles."""
-    a, b, c = triangle_corners(mesh, triangle)
-    return np.stack([a + w[0] * (b - a) + w[1] * (c - a) for w in weights])
+def _halves(corners: np.ndarray, apex: np.ndarray) -> np.ndarray:
+    """(3 corners, C, 2 M): the two halves of triangles (3 corners, C, M), cut from corners `apex` (M,)."""
+    first, second, third = (
+        np.take_along_axis(corners, ((apex + k) % 3)[None, None], axis=0)[0] for k in range(3)
+    )  # (C, M)
+    middle = 0.5 * (second + third)
+    return np.stack([np.concatenate(pair, axis=1) for pair in ((first, first), (second, middle), (middle, third))])
 
 
 @record
@@ -200,7 +199,10 @@ def _merged(middle: np.ndarray, normal: np.ndarray, area: np.ndarray, worth: np.
     order, _ = sorted_by_code(morton_codes(middle.T.astype(np.float32))[0])
     centre = middle.mean(axis=1, keepdims=True)
     middle = middle - centre
-    columns = np.vstack([area, middle * area, normal * area, dot(middle, middle) * area, worth])[:, order]
+    columns = np.empty((9, len(order)))
+    rows = area, *(middle * area), *(normal * area), dot(middle, middle) * area, worth
+    for column, row in zip(columns, rows, strict=True):
+        row.take(order, out=column)
     worth = worth[order]
     kind, mixed = np.zeros(len(order), np.int64), np.zeros(len(order), bool)
     for again in range(REFINEMENTS + 1):
@@ -228,7 +230,7 @@ def _merged(middle: np.ndarray, normal: np.ndarray, area: np.ndarray, worth: np.
             kind = np.where(mixed, 6 * number + side + 1, 0)
             rows = np.argsort(kind, kind="stable")
             order, kind, mixed, finer = order[rows], kind[rows], mixed[rows], finer[rows]
-            worth, columns = worth[rows], columns[:, rows]
+            worth, columns = worth[rows], columns.take(rows, axis=1)
         worth[finer] = np.minimum(worth[finer] * FINER, 1.0)
     # What is left stays by itself.
     groups = _groups(columns, new | apart[np.cumsum(new) - 1])

@@ -14,6 +14,8 @@ from .closed import scrambled
 FINE = 9  # steps of sites along the edge of a cell, where its middle is hidden; odd
 UPRIGHT_STEPS = 64  # and across it
 TURNS = 256  # steps of normals, each way of an octahedron
+# Odd 64-bit numbers, by which cells along each axis become one.
+PRIMES = tuple(map(np.uint64, (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)))
 SHIFT = 0.381966  # of an edge: faces of cells do not lie where surfaces often do
 
 
@@ -93,3 +95,11 @@ def hashed(columns: np.ndarray) -> np.ndarray:
         for column in columns.T:
             found = scrambled(found ^ (column.astype(np.float64) + 0.0).view(np.uint64))
     return found
+
+
+def cell_keys(cell: np.ndarray, kind: np.ndarray) -> np.ndarray:
+    """Keys (N,) uint64 of cells (3, N), whole numbers, of kinds (N,) uint64, scrambled numbers: of a step along an axis
+    they differ by PRIMES."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        x, y, z = (axis.astype(np.int64).view(np.uint64) * prime for axis, prime in zip(cell, PRIMES, strict=True))
+        return x + y + z + kind

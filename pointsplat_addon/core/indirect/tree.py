@@ -158,16 +158,23 @@ def _placed(
         begin, end = end, end + len(children)
         first[place[parents]] = begin + starts(count)
         placed.append((place[parents], count, slice(begin, end)))
-    means = sums[:, number]
+    means = sums.take(number, axis=1)
     area = means[AREA].copy()
     means /= area
-    axis, along = _axes(means[PRODUCTS])
+    f, leaf = np.float32, place[leaf]
+    held = np.bincount(leaf, minlength=size)
+    # Of a single surfel the axis is its normal.
+    axis = means[NORMAL].copy()
+    length = np.sqrt(dot(axis, axis))
+    along = np.where(length > 0, 1.0, 0.0)
+    axis /= np.maximum(length, 1e-300)
+    axis[2, length == 0] = 1
+    several = np.flatnonzero(held != 1)
+    axis[:, several], along[several] = _axes(means[PRODUCTS].take(several, axis=1))
     axis *= np.where(dot(axis, means[NORMAL]) < 0, -1, 1)
     turned = np.zeros(size, bool)
     for nodes, count, children in placed:
         turned[children] = dot(axis[:, children], np.repeat(axis[:, nodes], count, axis=1)) < 0
-    f, leaf = np.float32, place[leaf]
-    held = np.bincount(leaf, minlength=size)
     radii, position = radii[number], means[POSITION]
     flat = np.zeros(size, bool)
     flat[leaf] = surfels.normal.any(axis=1)

@@ -43,6 +43,7 @@ class SampleInputs:
     count: int | None = None  # N; None: the length of any array given
     # The inputs at the ends of two conjugate half-diameters of each sample's splat: images are filtered that wide
     displaced: tuple[SampleInputs, SampleInputs] | None = None
+    rough: bool = False  # by one sample of a level of about that size: enough where nobody sees the splats themselves
     # The inputs a little way along two directions in the surface, and these ways, (2, N, 3) in object space: heights
     # change along them
     moved: tuple[SampleInputs, SampleInputs] | None = None

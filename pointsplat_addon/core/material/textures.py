@@ -16,6 +16,7 @@ SPREAD = 0.41
 # Standard deviation in texels of a sample of the image itself, by bilinear weights (narrower Gaussians are magnified),
 # and of a sample of a smaller level, whose texels are boxes (1/12), by cubic B-splines (1/3), in that level's texels.
 TEXEL, SMALLER = 0.41, (1 / 12 + 1 / 3) ** 0.5
+LINEAR = (1 / 12 + 1 / 6) ** 0.5  # the same by bilinear weights
 MOST_ASPECT = 4.0  # largest aspect of the ellipses; narrower ones are widened
 ROUND = 1.5  # aspect up to which one sample is enough, with the mean of both axes
 BAND = 256  # rows that are halved at a time; even
@@ -100,6 +101,29 @@ def filter_image(
                 at = uv[which] + offset * step[which]
                 color[which] += weight * _blend_levels(sample, at, level[which], share[which])
         below = limit
+    return color
+
+
+def sample_roughly(
+    sample: Callable[[int, np.ndarray, str], np.ndarray],
+    size: tuple[int, int],
+    uv: np.ndarray,
+    footprint: np.ndarray,
+) -> np.ndarray:
+    """The same by one sample each, of the level whose bilinear samples are about as wide: long footprints are taken
+    for round ones of their area. `sample` is also told how levels are interpolated."""
+    x, y = np.nan_to_num(np.clip(footprint, -0.5, 0.5)).transpose(2, 0, 1) * (
+        SPREAD * np.asarray(size, np.float64)[:, None, None]
+    )
+    xx, yy, xy = ((one * other).sum(axis=1) for one, other in ((x, x), (y, y), (x, y)))
+    mean, root = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    major, minor = np.sqrt(mean + root), np.sqrt(np.maximum(mean - root, 0.0))
+    spread = np.sqrt(major * np.maximum(minor, major / MOST_ASPECT))
+    level = np.rint(np.log2(np.maximum(spread, LINEAR) / LINEAR)).astype(np.int64)
+    color = np.empty((len(uv), 4), np.float32)
+    for k in np.unique(level).tolist():
+        which = np.flatnonzero(level == k)
+        color[which] = sample(k, uv[which], "Linear")
     return color
 
 

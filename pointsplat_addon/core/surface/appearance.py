@@ -231,6 +231,27 @@ def at_corners(mesh: Mesh, table: MaterialTable, graphs: dict[int, MaterialGraph
     return _evaluate(mesh, samples, np.repeat(rows, 3), position, corner_normals(mesh), graphs, table)
 
 
+def scattered_at(mesh: Mesh, samples: Samples, table: MaterialTable) -> Appearance:
+    """The appearance of a mesh at samples that stand for all it scatters and emits there: without normals, and with
+    images of about the resolution of the samples' ellipses."""
+    graphs = {row: replace(graph, normal=None, tangent=None) for row, graph in graphs_of(mesh, table).items()}
+    graphs = {row: graph for row, graph in graphs.items() if graph.channels}
+    if not graphs:
+        return Appearance()
+    wanted = [needs(graph) for graph in graphs.values()]
+    position = normal = np.zeros((len(samples), 3), np.float32)
+    if any(one.position or one.generated for one in wanted):
+        position = interpolate(mesh, samples, mesh.position[mesh.triangles])
+    if any(one.normal for one in wanted):
+        normal = normalize_rows(interpolate(mesh, samples, corner_normals(mesh).reshape(-1, 3, 3)))
+    rows = material_ids(mesh, samples)
+
+    def inputs(graph: MaterialGraph, part: Part) -> SampleInputs:
+        return replace(_inputs(mesh, graph, _subset(samples, part), position[part], normal[part], True), rough=True)
+
+    return evaluate_materials(rows, graphs, inputs, table, None)
+
+
 def interpolates(graph: MaterialGraph) -> bool:
     """Whether what a graph varies is, within a triangle, what its values at the corners interpolate to; alpha apart."""
     linear = UV, Attribute, ColorAttribute, Constant, Coordinates, Color, Component

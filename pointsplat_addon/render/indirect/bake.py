@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...core.indirect.closed import scrambled
 from ...core.indirect.media import MediaGrid
-from ...core.indirect.sites import hashed
+from ...core.indirect.sites import PRIMES, cell_keys
 from ...core.indirect.surfels import Surfels
 from ...core.indirect.tree import build_tree
 from ...core.lod.levels import SIDE_AXES
 from ...core.numeric.record import record
+from ...core.numeric.vectors import dot
 from ...core.scene.scene import Scene
 from ..device.protocol import Device, Texture
 from ..passes.indirect.pages import node_shapes, with_radiance
@@ -28,6 +30,7 @@ LEAST_GAIN_OF_MEDIA = 0.005  # below which bounces in media are taken to become 
 MOST_LEFT = 0.98  # of a bounce, in the next one
 THINNER = 0.25  # along the normal
 ALIKE = 0.9  # cosine between normals of surfels and of receivers next to theirs that light them, too
+GROWTH = 1.1  # of cells, from step to step
 SMALLEST_SHARE = 10.0  # percent of surfels that are smaller than what is told apart
 TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], np.float32) / np.float32(3**0.5)
 LIFTED = 0.05  # radii of a surfel, by which its receiver lies above it
@@ -43,10 +46,13 @@ class BounceReceivers:
 
     def spread(self, found: np.ndarray) -> np.ndarray:
         """Returns for all surfels (2, N, C) what receivers have gathered, (2, R, C)."""
-        whole = np.zeros((2, self.others.shape[1], found.shape[2]), np.float32)
-        for other, weight in zip(self.others, self.weights, strict=True):
-            whole += found[:, other] * weight[:, None]
-        return whole
+        channels = np.moveaxis(found, 1, 2).reshape(2 * found.shape[2], found.shape[1])
+        whole = np.zeros((len(channels), self.others.shape[1]), np.float32)
+        # Channel by channel, which stay in the processor's cache.
+        for out, channel in zip(whole, np.ascontiguousarray(channels, np.float32), strict=True):
+            for other, weight in zip(self.others, self.weights, strict=True):
+                out += channel.take(other) * weight
+        return np.moveaxis(whole.reshape(2, found.shape[2], self.others.shape[1]), 2, 1)
 
 
 @record
@@ -303,38 +309,47 @@ def bounce_receivers(surfels: Surfels, most: int, apart: np.ndarray) -> BounceRe
     if len(surfels) == 0:
         none = np.zeros((4, 0), np.int64)
         return BounceReceivers(none[0], none, none.astype(np.float32))
-    turned = surfels.normal @ SIDE_AXES.astype(np.float32)
-    face = np.abs(turned).argmax(axis=1)
-    side = 2 * face + (turned[np.arange(len(face)), face] < 0)
+    turned = (SIDE_AXES.T.astype(np.float32)[:, :, None] * surfels.normal.T).sum(axis=1)
+    face = np.abs(turned).argmax(axis=0)
+    side = 2 * face + (np.take_along_axis(turned, face[None], axis=0)[0] < 0)
     # Surfels are the larger the farther off they are, and so are the cells that share a receiver. These are
     # flat, thin along the axis that normals are turned to, so that surfaces behind one another do not share one.
     whole = surfels.area * np.where(surfels.half, 2, 1)
     size = np.maximum(np.sqrt(np.maximum(whole, np.percentile(whole, SMALLEST_SHARE))), apart)
-    across = np.exp2(np.ceil(np.log2(size)))[:, None]
-    thin = np.where(np.abs(SIDE_AXES.T[face]) > 0.5, THINNER, 1.0)
-    away = surfels.position - surfels.position.min(axis=0)
+    level = np.ceil(np.log2(size))
+    thin = np.where(np.abs(SIDE_AXES) > 0.5, THINNER, 1.0)[:, face]
+    away = (surfels.position.T - surfels.position.min(axis=0)[:, None]) / (thin * np.exp2(level))
+    kind = scrambled((8 * level + side).astype(np.int64).view(np.uint64))
     fills = np.minimum(whole / np.maximum(apart * apart, 1e-30), 1.0)  # of a cell
     # From here on cells grow until receivers are few enough. Both sides of a cell count, but where surfaces end or turn
     # they fill cells in part.
     scale = max(float(fills.sum()) / most, 1.0) ** 0.5
     while True:
-        at = away / (scale * thin * across)
+        at = away / scale
         cell = np.floor(at)
-        key = hashed(np.column_stack([cell, side, across]))
-        order = np.argsort(key, kind="stable")
-        new = np.append(True, key[order][1:] != key[order][:-1])
-        open_ones = np.count_nonzero(~surfels.closed[order][new])
-        if np.count_nonzero(new) + open_ones <= most or not cell.any():
+        key = cell_keys(cell, kind)
+        found = _distinct(key) + _distinct(key[~surfels.closed])
+        if found <= most or not cell.any():
             break
-        scale *= 1.1
+        # Cells of surfaces are as many as squares would be, of leaves at most as many as cubes.
+        scale *= GROWTH ** max(np.floor(np.log(found / most) / (3 * np.log(GROWTH))), 1.0)
+    order = np.argsort(key)
+    new = np.flatnonzero(np.append(True, key[order][1:] != key[order][:-1]))
+    count = np.diff(np.append(new, len(key)))
     group = np.empty(len(key), np.int64)
-    group[order] = np.cumsum(new) - 1
+    group[order] = np.repeat(np.arange(len(new)), count)
     # The surfel nearest to the middle of each.
-    count = np.bincount(group)
-    middle = np.stack([np.bincount(group, column) / count for column in surfels.position.T], axis=1)
-    off = ((surfels.position - middle[group]) ** 2).sum(axis=1)
-    rows = np.lexsort((off, group))[np.cumsum(count) - count]
-    return _with_neighbours(surfels.normal, rows, group, key[order][new], at, face, np.column_stack([side, across]))
+    middle = np.stack([np.bincount(group, column) / count for column in surfels.position.T])
+    off = dot(*(2 * [surfels.position.T - middle[:, group]]))
+    nearest = off == np.minimum.reduceat(off[order], new)[group]
+    rows = np.minimum.reduceat(np.where(nearest[order], order, len(key)), new)
+    return _with_neighbours(surfels.normal, rows, group, key[order[new]], at - cell, key, face)
+
+
+def _distinct(keys: np.ndarray) -> int:
+    """How many different ones there are."""
+    keys = np.sort(keys)
+    return int(np.count_nonzero(keys[1:] != keys[:-1])) + min(len(keys), 1)
 
 
 def _with_neighbours(
@@ -342,26 +357,28 @@ def _with_neighbours(
     rows: np.ndarray,
     group: np.ndarray,
     keys: np.ndarray,
-    at: np.ndarray,
+    within: np.ndarray,
+    key: np.ndarray,
     face: np.ndarray,
-    kind: np.ndarray,
 ) -> BounceReceivers:
-    """Receivers `rows` (R,) of cells with keys (R,), rising, to which surfels of groups (N,) belong. `at` (N, 3):
-    places in cells, in faces (N,) across the axes; `kind` (N, 2): what keys hold beside cells."""
-    number = np.arange(len(group))
-    ahead = np.where(at - np.floor(at) < 0.5, -1.0, 1.0)
-    apart = np.abs(at - np.floor(at) - 0.5)
-    first, second = (face + 1) % 3, (face + 2) % 3
-    others, weights = [group], [(1 - apart[number, first]) * (1 - apart[number, second])]
-    for steps in ((first,), (second,), (first, second)):
-        cell, weight = np.floor(at), np.ones(len(group))
-        for axis in (first, second):
-            moved = any(axis is step for step in steps)
-            cell[number, axis] += ahead[number, axis] if moved else 0
-            weight *= apart[number, axis] if moved else 1 - apart[number, axis]
-        wanted = hashed(np.column_stack([cell, kind]))
+    """Receivers `rows` (R,) of cells with keys (R,), rising, to which surfels of groups (N,) belong. `within` (3, N):
+    places in their cells, with keys (N,), in faces (N,) across the axes."""
+    ahead, apart = within < 0.5, np.abs(within - 0.5)
+    normal, steps = np.ascontiguousarray(normal.T), np.array(PRIMES)
+    axes = (face + 1) % 3, (face + 2) % 3
+    of_axes = [np.take_along_axis(apart, axis[None], axis=0)[0] for axis in axes]
+    back = [np.take_along_axis(ahead, axis[None], axis=0)[0] for axis in axes]
+    with np.errstate(over="ignore"):
+        moves = [np.where(one, -steps[axis], steps[axis]) for axis, one in zip(axes, back, strict=True)]
+        moved = moves[0], moves[1], moves[0] + moves[1]
+    others, weights = [group], [(1 - of_axes[0]) * (1 - of_axes[1])]
+    of_rows = normal[:, rows]
+    for move, shares in zip(moved, ((0, 1), (1, 0), (0, 0)), strict=True):
+        with np.errstate(over="ignore"):
+            wanted = key + move
+        weight = np.abs(shares[0] - of_axes[0]) * np.abs(shares[1] - of_axes[1])
         found = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-        alike = (normal * normal[rows[found]]).sum(axis=1)
+        alike = dot(normal, of_rows[:, found])
         others.append(found)
         weights.append(np.where((keys[found] == wanted) & (alike > ALIKE), weight, 0.0))
     total = np.stack(weights)

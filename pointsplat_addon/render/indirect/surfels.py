@@ -18,8 +18,8 @@ from ...core.scene.materials import MaterialTable
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.strands import Strands
-from ...core.surface.appearance import passing, point_cloud, shown_by
-from ...core.surface.evaluation import evaluate
+from ...core.surface.appearance import CLIP, passing, scattered_at, shown_by
+from ...core.surface.samples import material_ids
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from ..prepare.separation import is_translucent
@@ -172,16 +172,13 @@ def _moved(surfels: Surfels, matrices: np.ndarray) -> Surfels:
 def _with_look(mesh: Mesh, table: MaterialTable, made: LightSamples, kind: tuple[bool, bool]) -> Surfels:
     """Surfels at samples that were taken of the mesh, or of it where it stands."""
     samples = made.samples
-    number = np.arange(len(samples), dtype=np.float32)
-    cloud = point_cloud(mesh, samples, evaluate(mesh, samples), table, number)
-    assert cloud.value is not None
-    kept = cloud.value.astype(np.int64)
-    albedo, emission = _look(cloud, table)
-    of_mesh = made.position, made.normal, made.area, made.edge
-    position, normal, area, edge = (of[kept].astype(np.float32) for of in of_mesh)
-    half = made.half[kept]
-    closed, scattered = (np.full(len(kept), flag) for flag in kind)
-    return Surfels(np.zeros(3), position, normal, area, closed, scattered, albedo, emission, edge, half)
+    look = scattered_at(mesh, samples, table)
+    rows = np.minimum(material_ids(mesh, samples), len(table) - 1)
+    albedo, emission = _look(rows, look.color, look.surface, look.emission, table)
+    closed, scattered = (np.full(len(samples), flag) for flag in kind)
+    position, normal, area, edge = (of.astype(np.float32) for of in (made.position, made.normal, made.area, made.edge))
+    surfels = Surfels(np.zeros(3), position, normal, area, closed, scattered, albedo, emission, edge, made.half)
+    return surfels if look.alpha is None else surfels.take(np.flatnonzero(look.alpha >= CLIP))
 
 
 def _of_cloud(cloud: PointCloud, table: MaterialTable, matrix: np.ndarray, spacing: Spacing) -> Surfels:
@@ -197,7 +194,7 @@ def _of_cloud(cloud: PointCloud, table: MaterialTable, matrix: np.ndarray, spaci
     count = max(round(float(ends[-1])), 1)
     rows = np.minimum(np.searchsorted(ends, (np.arange(count) + 0.5) * ends[-1] / count), len(cloud) - 1)
     thinned = cloud.take(rows)
-    albedo, emission = _look(thinned, table)
+    albedo, emission = _look_of(thinned, table)
     normal = np.zeros((count, 3), np.float32) if thinned.normal is None else thinned.normal
     stands_for = area[rows] / worth[rows]
     stands_for *= area.sum() / stands_for.sum()
@@ -231,7 +228,7 @@ def _of_strands(strands: Strands, table: MaterialTable, matrix: np.ndarray, spac
     material = np.full(count, strands.materials[0], np.uint16) if strands.material is None else strands.material[owner]
     color = None if strands.color is None else strands.color[first[rows]]
     cloud = PointCloud(middle[rows].astype(np.float32), material=material, color=color)
-    albedo, emission = _look(cloud, table)
+    albedo, emission = _look_of(cloud, table)
     stands_for = area[rows] / worth[rows]
     stands_for = (stands_for * (area.sum() / stands_for.sum())).astype(np.float32)
     local = Surfels(
@@ -260,13 +257,24 @@ def _none() -> Surfels:
     return Surfels(np.zeros(3), empty, empty, np.zeros(0, f), no, no, empty, empty, empty, no)
 
 
-def _look(cloud: PointCloud, table: MaterialTable) -> tuple[np.ndarray, np.ndarray]:
-    """What points scatter of light, and what they emit, (N, 3) float32 each: the diffuse lobe alone, as of surfaces
-    that are seen by way of others."""
+def _look_of(cloud: PointCloud, table: MaterialTable) -> tuple[np.ndarray, np.ndarray]:
+    """See _look."""
     rows = np.zeros(len(cloud), np.uint16) if cloud.material is None else np.minimum(cloud.material, len(table) - 1)
-    color = table.base_color[rows] if cloud.color is None else cloud.color
-    surface = np.stack([table.roughness, table.metallic], axis=1)[rows] if cloud.surface is None else cloud.surface
-    emission = table.emission[rows] if cloud.emission is None else cloud.emission
+    return _look(rows, cloud.color, cloud.surface, cloud.emission, table)
+
+
+def _look(
+    rows: np.ndarray,
+    color: np.ndarray | None,
+    surface: np.ndarray | None,
+    emission: np.ndarray | None,
+    table: MaterialTable,
+) -> tuple[np.ndarray, np.ndarray]:
+    """What points of materials `rows` (N,) scatter of light, and what they emit, (N, 3) float32 each: the diffuse lobe
+    alone, as of surfaces that are seen by way of others. The others: as of PointCloud."""
+    color = table.base_color[rows] if color is None else color
+    surface = np.stack([table.roughness, table.metallic], axis=1)[rows] if surface is None else surface
+    emission = table.emission[rows] if emission is None else emission
     albedo = (
         np.maximum(color, 0)
         * ((1 - np.clip(surface[:, 1], 0, 1)) * (1 - _reflected(surface[:, 0], rows, table)))[:, None]

@@ -20,15 +20,15 @@ def picture(values: np.ndarray) -> Image:
     return Image(np.repeat(values[..., None], 4, axis=2).astype(np.float32))
 
 
-def inputs_with(uv: np.ndarray, footprint: np.ndarray) -> SampleInputs:
+def inputs_with(uv: np.ndarray, footprint: np.ndarray, rough: bool = False) -> SampleInputs:
     """Samples at `uv` (N, 2) of splats with the half-diameters `footprint` (N, 2, 2)."""
     first, second = (SampleInputs(uv={"map": uv + footprint[:, k]}) for k in range(2))
-    return SampleInputs(uv={"map": uv}, displaced=(first, second))
+    return SampleInputs(uv={"map": uv}, displaced=(first, second), rough=rough)
 
 
-def shown(image: Image, uv: np.ndarray, footprint: np.ndarray, **node) -> np.ndarray:
+def shown(image: Image, uv: np.ndarray, footprint: np.ndarray, rough: bool = False, **node) -> np.ndarray:
     """(N,) of the first channel: the picture at splats whose half-diameters are `footprint` (N, 2, 2)."""
-    inputs = inputs_with(uv.astype(np.float32), footprint.astype(np.float32))
+    inputs = inputs_with(uv.astype(np.float32), footprint.astype(np.float32), rough)
     return evaluate(texture_nodes.ImageTexture(input_nodes.UV("map"), image, **node), inputs)[:, 0]
 
 
@@ -133,3 +133,31 @@ def test_what_is_not_finite_counts_as_a_point():
     with np.errstate(all="ignore"):
         found = shown(image, uv, footprint)
     assert np.isfinite(found).all()
+
+
+@pytest.mark.parametrize("across", [2.0, 5.5, 16.0])
+def test_one_sample_is_as_wide_as_the_splat(across):
+    """By the variance of white noise under a splat, over that of a texel: 1 / (4 pi s^2) of a Gaussian of the deviation
+    s in texels. One sample of a level of about that size has 0.7 to 1.5 times that deviation."""
+    noise = np.random.default_rng(8).normal(0, 1, (SIZE, SIZE))
+    uv = np.random.default_rng(9).random((4000, 2))
+    footprint = np.broadcast_to(np.eye(2) * across / SIZE, (4000, 2, 2))
+    spread = SPREAD * across
+    found = shown(picture(noise), uv, footprint, rough=True).std() * np.sqrt(4 * np.pi) * spread
+    assert 1 / 1.5 < found < 1 / 0.7  # measured 0.95, 1.31 and 0.97
+
+
+def test_long_splats_take_one_sample_of_their_area():
+    board = np.indices((SIZE, SIZE)).sum(axis=0) // 2 % 2
+    uv = np.random.default_rng(4).random((500, 2))
+    footprint = np.broadcast_to(np.diag([64, 8]) / SIZE, (500, 2, 2))
+    np.testing.assert_allclose(shown(picture(board), uv, footprint, rough=True), 0.5, atol=1e-6)  # measured 0
+
+
+@pytest.mark.parametrize("interpolation", ["Linear", "Closest", "Cubic"])
+def test_one_sample_of_what_is_magnified_is_as_ever(interpolation):
+    image = picture(np.random.default_rng(5).random((16, 16)))
+    uv = np.random.default_rng(6).random((200, 2))
+    footprint = np.broadcast_to(np.eye(2) * 0.5 / 16, (200, 2, 2))
+    fine, rough = (shown(image, uv, footprint, which, interpolation=interpolation) for which in (False, True))
+    np.testing.assert_array_equal(fine, rough)

@@ -158,3 +158,22 @@ def test_radiance_is_packed_to_a_few_thousandths():
     steps = np.stack([codes[:, 0] % 4096, codes[:, 1] // 4096, codes[:, 1] % 4096], axis=1)
     found = steps * 2.0 ** (exponent[:, None] - 1036)
     assert (np.abs(found - values) <= values.max(axis=1, keepdims=True) / 4095).all()
+
+
+@pytest.mark.parametrize(("depth", "count", "off"), [(0.25, 200_000, 0.03), (1, 200_000, 0.03), (3, 20_000, 0.01)])
+def test_leaves_let_light_through_as_if_by_chance(depth, count, off):
+    """Of the sky's light, 2 E3 of the depth comes through a layer of leaves that lie and are turned at random. Found:
+    0.024 more at a depth of 0.25, 0.021 at 1 and 0.006 at 3, where leaves are larger than cells."""
+    rng = np.random.default_rng(1)
+    half, low, high = 20.0, 1.0, 2.0
+    place = rng.uniform([-half, -half, low], [half, half, high], (count, 3))
+    normal = rng.normal(size=(count, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    # Half of what leaves have is seen.
+    area = 2 * depth * (2 * half) ** 2 / count
+    leaves = surfels_of(place, normal, np.array(area), scattered=True)
+    receivers = np.column_stack([rng.uniform(-2, 2, (64, 2)), np.zeros(64)])
+    found = gathered(leaves, np.zeros(count), receivers, UP, 1.0).mean()
+    nodes, weights = np.polynomial.legendre.leggauss(200)
+    cosine = 0.5 * nodes + 0.5
+    assert abs(found - (weights * cosine * np.exp(-depth / cosine)).sum()) < off

@@ -10,7 +10,7 @@ from ...numeric.record import record
 from ..color_models import linear_from_srgb
 from ..expression import Expression, SampleInputs, compute_node
 from ..image import Image
-from ..textures import Pyramid, filter_image, look_up
+from ..textures import Pyramid, filter_image, look_up, sample_roughly
 from .input_nodes import UV
 
 _FROM_BYTES = linear_from_srgb(np.arange(256, dtype=np.uint8) / np.float32(255))
@@ -44,6 +44,8 @@ class ImageTexture(Expression):
         uv, footprint = values[0], self._footprint(inputs, values[0])
         if footprint is None:
             return self._decoded(look_up(self.image.texels, uv, self.interpolation, self.extension))
+        if inputs.rough:
+            return sample_roughly(self._level, self.image.size, uv[:, :2], footprint)
         return filter_image(self._level, self.image.size, uv[:, :2], footprint)
 
     def _footprint(self, inputs: SampleInputs, uv: np.ndarray) -> np.ndarray | None:
@@ -52,12 +54,12 @@ class ImageTexture(Expression):
             return None
         return np.stack([compute_node(self.uv, moved, {})[:, :2] - uv[:, :2] for moved in inputs.displaced], axis=1)
 
-    def _level(self, level: int, uv: np.ndarray) -> np.ndarray:
-        """Colours (N, 4) of the image halved `level` times."""
+    def _level(self, level: int, uv: np.ndarray, interpolation: str = "Cubic") -> np.ndarray:
+        """Colours (N, 4) of the image halved `level` times; `interpolation`: of smaller levels."""
         if level == 0:
             return self._decoded(look_up(self.image.texels, uv, self.interpolation, self.extension))
         smaller = self._pyramid.levels[min(level, len(self._pyramid.levels)) - 1]
-        return look_up(smaller, uv, "Cubic", self.extension)
+        return look_up(smaller, uv, interpolation, self.extension)
 
     @cached_property
     def _pyramid(self) -> Pyramid:

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ....core.numeric.segments import ranges
+from ....core.numeric.vectors import dot
 from .receivers import Receivers
 
 FAR = 0.15  # harmonic mean distances of a receiver, as far as which it speaks for others
@@ -16,6 +18,8 @@ STEEP = 0.2  # and from their mean: shadows have edges
 FLAT = 1e-3  # squared distance, over that of the widest square, below which they tell no slope
 LEVER = 4.0  # variance of a plane there over that of one receiver, above which it would be drawn out too far
 MOST_IN_TILE = 4  # receivers of one square that are looked at
+TOGETHER = 2048  # groups that are looked at together: pairs of these and of receivers stay in the processor's cache
+PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of (1, x, y)
 
 
 class Known:
@@ -34,43 +38,71 @@ class Known:
 
     def interpolated(self, rows: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(n, 8) at the groups `rows` (n,), at `pixels` (n, 2), and whether what is known tells it, (n,) bool."""
+        found, known = np.zeros((len(rows), 8), np.float32), np.zeros(len(rows), bool)
+        for begin in range(0, len(rows), TOGETHER):
+            some = slice(begin, begin + TOGETHER)
+            found[some], known[some] = self._interpolated(rows[some], pixels[some])
+        return found, known
+
+    def _interpolated(self, rows: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `interpolated`."""
         count = len(rows)
-        moments, sums = np.zeros((count, 3, 3)), np.zeros((count, 3, 8))
-        squares, bright_squares = np.zeros(count), np.zeros(count)
-        place, normal = self._position[rows], self._normal[rows]
+        totals = np.zeros((32, count))  # of products of (1, x, y) with what receivers have, and with (1, x, y); others
+        place, normal = (np.ascontiguousarray(of[rows].T) for of in (self._position, self._normal))
         for receivers, side, found, valid in self._sizes:
-            high, wide = receivers.tiles.shape[:2]
-            tile = np.floor(pixels / side).astype(np.int64)
-            light = found[:, :3].mean(axis=1)
-            for step in range(9):
-                x, y = tile[:, 0] + step % 3 - 1, tile[:, 1] + step // 3 - 1
-                within = (x >= 0) & (x < wide) & (y >= 0) & (y < high)
-                entry = receivers.tiles[np.where(within, y, 0), np.where(within, x, 0)].astype(np.int64)
-                there = np.where(within, np.minimum(entry[:, 1], MOST_IN_TILE), 0)
-                for slot in range(int(there.max(initial=0))):
-                    some = np.flatnonzero(slot < there)
-                    other = entry[some, 0] + slot
-                    some, other = some[valid[other]], other[valid[other]]
-                    weight = self._weight(place[some], normal[some], receivers.rows[other], found[other, 3])
-                    away = (receivers.pixels[other] - pixels[some]) / (1.5 * side)
-                    weight *= np.maximum(1 - np.abs(away), 0).prod(axis=1)
-                    used = weight > 0
-                    some, other, weight, away = some[used], other[used], weight[used], away[used]
-                    basis = np.column_stack([np.ones(len(some)), away * side / self._widest])
-                    weighted = weight[:, None] * basis
-                    moments[some] += weighted[:, :, None] * basis[:, None]
-                    sums[some] += weighted[:, :, None] * found[other, None]
-                    squares[some] += weight * weight
-                    bright_squares[some] += weight * light[other] ** 2
-        return _fitted(moments, sums, squares, bright_squares)
+            own, other = _around(receivers, valid, np.floor(pixels / side).astype(np.int64))
+            away = (receivers.pixels.T[:, other] - pixels.T[:, own]) / np.float32(1.5 * side)
+            near = np.maximum(1 - np.abs(away[0]), 0) * np.maximum(1 - np.abs(away[1]), 0)
+            own, other, away, near = _those(near > 0, own, other, away, near)
+            weight = near * self._weight(place[:, own], normal[:, own], receivers.rows[other], found[other, 3])
+            own, other, away, weight = _those(weight > 0, own, other, away, weight)
+            if not len(own):
+                continue
+            basis = np.ones((3, len(own)))
+            basis[1:] = away * (side / self._widest)
+            first = np.flatnonzero(np.append(True, own[1:] != own[:-1]))
+            light = np.ascontiguousarray(found.T).take(other, axis=1)
+            given = np.empty((32, len(own)))
+            for k, one in enumerate(weight * basis):
+                given[8 * k : 8 * k + 8] = one * light
+            for k, (i, j) in enumerate(PAIRS, 24):
+                given[k] = weight * basis[i] * basis[j]
+            given[30] = weight * weight
+            given[31] = weight * light[:3].mean(axis=0) ** 2
+            totals[:, own[first]] += np.add.reduceat(given, first, axis=1)
+        moments = np.empty((count, 3, 3))
+        for k, (i, j) in enumerate(PAIRS, 24):
+            moments[:, i, j] = moments[:, j, i] = totals[k]
+        sums = np.moveaxis(totals[:24].reshape(3, 8, count), 2, 0)
+        return _fitted(moments, sums, totals[30], totals[31])
 
     def _weight(self, place: np.ndarray, normal: np.ndarray, other: np.ndarray, nearness: np.ndarray) -> np.ndarray:
-        """(n,): how far the groups `other` speak for those at places with normals (n, 3)."""
-        offset, up = place - self._position[other], self._normal[other]
-        far = np.sqrt((offset**2).sum(axis=1)) * nearness / FAR
-        off = np.abs((offset * (up + normal)).sum(axis=1)) * nearness / (2 * OFF * FAR)
-        turned = (1 - (up * normal).sum(axis=1)) / TURNED
+        """(n,): how far the groups `other` speak for those at places with normals (3, n)."""
+        offset, up = place - self._position[other].T, self._normal[other].T
+        far = np.sqrt(dot(offset, offset)) * nearness / FAR
+        off = np.abs(dot(offset, up + normal)) * nearness / (2 * OFF * FAR)
+        turned = (1 - dot(up, normal)) / TURNED
         return np.maximum(1 - np.maximum(np.maximum(far, off), turned), 0)
+
+
+def _around(receivers: Receivers, valid: np.ndarray, tile: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs (P,), by rising rows of tiles (n, 2), of these and of valid receivers in the 9 tiles around them."""
+    high, wide = receivers.tiles.shape[:2]
+    step = np.arange(9)
+    x, y = tile[:, :1] + step % 3 - 1, tile[:, 1:] + step // 3 - 1
+    within = (x >= 0) & (x < wide) & (y >= 0) & (y < high)
+    entry = receivers.tiles.reshape(-1, 2).astype(np.int64)[np.where(within, y * wide + x, 0)]
+    there = np.where(within, np.minimum(entry[..., 1], MOST_IN_TILE), 0).ravel()
+    other = ranges(entry[..., 0].ravel(), there)
+    own = np.repeat(np.arange(len(tile)), there.reshape(-1, 9).sum(axis=1))
+    own, other = _those(valid[other], own, other)
+    return own, other
+
+
+def _those(which: np.ndarray, *of: np.ndarray) -> list[np.ndarray]:
+    """Items of arrays (..., n), those of `which` (n,) bool."""
+    rows = np.flatnonzero(which)
+    return [one.take(rows, axis=-1) for one in of]
 
 
 def _fitted(

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ....core.indirect.sites import FINE, Sites, cells, hashed, scrambled, sites
+from ....core.indirect.sites import FINE, Sites, cell_keys, cells, scrambled, sites
 from ....core.numeric.record import record
 from ...passes.uniforms import SampleView
 
@@ -100,20 +100,21 @@ def choose_receivers(groups: Groups, view: SampleView, side: int, fewest: int, e
     away = groups.depth[there].astype(np.float64) if view.camera.perspective else np.ones(len(there))
     level = np.floor(np.log2(WIDEST * side / focal * away))
     cell, off = cells(position, level)
-    turned = np.clip(np.floor((normal * 0.999 + 1) * TURNS), 0, 2 * TURNS - 1)
-    in_cell = hashed(np.column_stack([level, cell]))
-    key = scrambled(in_cell ^ hashed(turned))
-    order = np.lexsort((off, key))
-    new = np.append(True, key[order][1:] != key[order][:-1]) if len(order) else np.zeros(0, bool)
-    first = np.flatnonzero(new)
+    turned = np.clip(np.floor((normal.T * 0.999 + 1) * TURNS), 0, 2 * TURNS - 1)
+    turned = turned[0] + 2 * TURNS * (turned[1] + 2 * TURNS * turned[2])
+    in_cell = cell_keys(cell.T, scrambled(level.astype(np.int64).view(np.uint64)))
+    key = scrambled(in_cell ^ scrambled(turned.astype(np.uint64)))
+    order = np.argsort(key)
+    first = np.flatnonzero(np.append(True, key[order][1:] != key[order][:-1])) if len(order) else order
     number = np.diff(np.append(first, len(order)))
+    of_cell = np.empty(len(order), np.int64)
+    of_cell[order] = np.repeat(np.arange(len(first)), number)
+    nearest = _nearest(off, order, first, of_cell)
     enough = number >= fewest
     if not every:
-        _, owner = np.unique(in_cell[order[first]], return_inverse=True)
+        _, owner = np.unique(in_cell[nearest], return_inverse=True)
         enough &= number > MAIN * np.bincount(owner, number)[owner]
-    chosen = order[first[enough]]
-    of_cell = np.empty(len(order), np.int64)
-    of_cell[order] = np.cumsum(new) - 1
+    chosen = nearest[enough]
     if every:
         bare = np.flatnonzero(~_with_neighbours(tile[chosen], rows, columns)[tile])
         best = bare[np.lexsort((off[bare], -number[of_cell[bare]], tile[bare]))]
@@ -125,6 +126,15 @@ def choose_receivers(groups: Groups, view: SampleView, side: int, fewest: int, e
     tiles = np.stack([starts, counts], axis=1).astype(np.float32).reshape(rows, columns, 2)
     pixels = np.stack([x[chosen], y[chosen]], axis=1).astype(np.float32) + np.float32(0.5)
     return Receivers(there[chosen], pixels, level[chosen], tiles)
+
+
+def _nearest(off: np.ndarray, order: np.ndarray, first: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Which of N items is the nearest of each of G groups, (G,): the first of those that are least `off`, (N,). `order`
+    (N,): groups follow one another, and begin at `first` (G,); `group` (N,)."""
+    if len(order) == 0:
+        return order
+    least = np.minimum.reduceat(off[order], first)
+    return np.minimum.reduceat(np.where(off <= least[group], np.arange(len(order)), len(order))[order], first)
 
 
 def _with_neighbours(tile: np.ndarray, rows: int, columns: int) -> np.ndarray:
