@@ -37,7 +37,7 @@ class Surfels:
     def take(self, rows: np.ndarray) -> Surfels:
         """Returns the surfels `rows`, in their order."""
         captured = None if self.captured is None else self.captured[rows]
-        return Surfels(self.origin, *(getattr(self, name)[rows] for name in ARRAYS), captured)
+        return Surfels(self.origin, *(getattr(self, name)[rows] for name in ARRAYS), captured=captured)
 
     @property
     def receiving(self) -> np.ndarray:
@@ -55,4 +55,4 @@ def joined(parts: Sequence[Surfels]) -> Surfels:
         captured = np.concatenate(
             [np.zeros(len(part), bool) if part.captured is None else part.captured for part in parts]
         )
-    return Surfels(parts[0].origin, *arrays, captured)
+    return Surfels(parts[0].origin, *arrays, captured=captured)

@@ -46,8 +46,10 @@ def sheet(count: int, width: float, opacity: float, height=0.5, axis=2, light=1.
 
 
 def both(a: CapturedSplats, b: CapturedSplats) -> CapturedSplats:
-    names = "position", "scale", "rotation", "base", "opacity"
-    return CapturedSplats(*(np.concatenate([getattr(one, name) for one in (a, b)]) for name in names))
+    def of(name: str) -> np.ndarray:
+        return np.concatenate([getattr(one, name) for one in (a, b)])
+
+    return CapturedSplats(of("position"), of("scale"), of("rotation"), of("base"), of("opacity"))
 
 
 def body(count: int) -> CapturedSplats:
