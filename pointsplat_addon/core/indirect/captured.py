@@ -25,7 +25,9 @@ from .sites import SHIFT, cells, hashed
 DEGREE_0 = 0.28209479177387814  # of spherical harmonics
 AROUND = 2.5  # standard deviations of a splat that are cut into parts
 PART = 0.3  # of a cell: how wide parts are at most
-MOST_ALONG, MOST_PARTS = 48, 1 << 20  # parts of a splat along an axis, and of a batch
+MOST_ALONG, MOST_PARTS = 48, 1 << 20  # parts of a splat along an axis; and of all, or twice as many as there are splats
+# Splats at which is looked of very many, and cells in which the middles of these may lie.
+SAMPLED, MOST_CELLS = 1 << 18, 1 << 17
 EVEN = 12.0  # over the variance: the squared width of an even patch
 BELL = 9.5  # the area, over both standard deviations, that stands for the picture of one opaque splat
 BATCH = 1 << 18  # splats that are taken at once
@@ -61,8 +63,10 @@ class _Parts:
 def captured_surfels(splats: CapturedSplats, matrix: np.ndarray, spacing: Spacing) -> CapturedSurfels:
     """Returns the surfels of an instance of splats, (4, 4) float64, about as far apart as `spacing` says."""
     found = [_CellSums(np.zeros(0, np.uint64), np.zeros((0, 4)), np.zeros((COLUMNS, 0)))]
-    for start in range(0, len(splats), BATCH):
-        found.append(_of_cells(_batch(splats, slice(start, start + BATCH)), matrix, spacing))
+    batches = [_batch(splats, slice(start, start + BATCH)) for start in range(0, len(splats), BATCH)]
+    wider = _wider(batches, matrix, spacing)
+    for batch in batches:
+        found.append(_of_cells(batch, matrix, spacing, wider, MOST_PARTS // len(batches)))
     sums = _together(
         np.concatenate([one.key for one in found]),
         np.concatenate([one.cell for one in found]),
@@ -112,16 +116,37 @@ def _corners(cell: np.ndarray) -> np.ndarray:
     return (cell[:, 1:] - SHIFT) * np.exp2(cell[:, :1])
 
 
-def _of_cells(splats: CapturedSplats, matrix: np.ndarray, spacing: Spacing) -> _CellSums:
-    """Sums over parts of some splats."""
+def _wider(batches: list[CapturedSplats], matrix: np.ndarray, spacing: Spacing) -> float:
+    """How many times wider cells are to be than `spacing` says, so that there are not too many: a power of two."""
+    count = sum(map(len, batches))
+    if count <= SAMPLED:
+        return 1.0
+    some = np.concatenate([one.position[:: -(-count // SAMPLED)].astype(np.float64) + one.origin for one in batches])
+    position = some @ matrix[:3, :3].T + matrix[:3, 3]
+    position = position[np.isfinite(position).all(axis=1)]
+    wider = 1.0
+    while wider < 1e6:
+        level = _levels(position, spacing, wider)
+        if len(np.unique(hashed(np.column_stack([level, cells(position, level)[0]])))) <= MOST_CELLS:
+            break
+        wider *= 2
+    return wider
+
+
+def _levels(position: np.ndarray, spacing: Spacing, wider: float) -> np.ndarray:
+    """(N,): binary logarithms of the edges of cells at places (N, 3)."""
+    return np.rint(np.log2(np.maximum(spacing(position.T)[0] * wider, 1e-30)))
+
+
+def _of_cells(splats: CapturedSplats, matrix: np.ndarray, spacing: Spacing, wider: float, most: int) -> _CellSums:
+    """Sums over parts of some splats, of which there are at most so many or twice as many as splats."""
     splats, position, axes = _in_world(splats, matrix)
     if len(position) == 0:
         return _CellSums(np.zeros(0, np.uint64), np.zeros((0, 4)), np.zeros((COLUMNS, 0)))
-    apart, _ = spacing(position.T)
     opacity = np.minimum(splats.opacity.astype(np.float64), MOST_ALPHA)
     normal, front, beside = _pictures(axes, opacity)
-    level = np.rint(np.log2(np.maximum(apart, 1e-30)))
-    parts = _cut(position, axes, opacity, np.exp2(level))
+    level = _levels(position, spacing, wider)
+    parts = _cut(position, axes, opacity, np.exp2(level), most)
     own = parts.own
     level = level[own]
     # Of the area that stands for both a disk and a ball, how much is the disk's.
@@ -186,7 +211,7 @@ def dilogarithm(x: np.ndarray) -> np.ndarray:
     return np.where(x > 0.5, np.pi**2 / 6 - logs - series, series)
 
 
-def _cut(position: np.ndarray, axes: np.ndarray, opacity: np.ndarray, cell: np.ndarray) -> _Parts:
+def _cut(position: np.ndarray, axes: np.ndarray, opacity: np.ndarray, cell: np.ndarray, most: int) -> _Parts:
     """Cuts splats along their two longest half-axes to what is small beside a cell, (N,) wide; to larger parts where
     there would be too many."""
     length = np.sqrt((axes[:, :2] ** 2).sum(axis=0))
@@ -195,7 +220,7 @@ def _cut(position: np.ndarray, axes: np.ndarray, opacity: np.ndarray, cell: np.n
         whole = (2 * AROUND * length <= cell).all(axis=0)
         along[:, whole] = 1
         count = along.prod(axis=0)
-        if count.sum() <= max(MOST_PARTS, 2 * len(position)):
+        if count.sum() <= max(most, 2 * len(position)):
             break
         cell = np.where(whole, 1.0, 1.4) * cell
     own = owners(count)

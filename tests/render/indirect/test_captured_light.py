@@ -18,6 +18,7 @@ from tests.reference.captured_rays import by_cosine, rays_through
 from tests.support.indirect_light import SceneLight
 from tests.support.surfels import UP
 
+EYE = cameras.camera((0, -2.0, 1.0))
 PLACES = np.array([[0, 0, 0.0], [0.5, 0.2, 0], [1.3, 0.2, 0]])
 
 
@@ -66,7 +67,7 @@ def body(count: int) -> CapturedSplats:
 def compared(splats: CapturedSplats, key: str, sky: float, normal=UP, places=PLACES) -> tuple[np.ndarray, np.ndarray]:
     """(N,): what falls on places, and the same by rays."""
     scene = build.scene((build.captured(key, splats), build.moved()), lights=(), world=World(np.full(3, sky)))
-    light = SceneLight(scene, cameras.camera((0, -2.0, 1.0)))
+    light = SceneLight(scene, EYE)
     found = light.at(places, normal)[:, 0]
     light.release()
     directions = by_cosine(np.asarray(normal, float), 40)
@@ -85,7 +86,7 @@ def test_an_opaque_sheet_lights_the_floor_by_its_form_factor():
     """Of 3,600 opaque splats, which end half a spacing beyond the square. Found: 0.914 under the middle."""
     opaque = build.captured("opaque sheet", sheet(60, 0.035, 0.99))
     scene = build.scene((opaque, build.moved()), lights=(), world=World(np.zeros(3)))
-    light = SceneLight(scene, cameras.camera((0, -2.0, 1.0)))
+    light = SceneLight(scene, EYE)
     found = light.at(PLACES[:1], UP)[0, 0]
     truth = 4 * rectangle(0.5, np.array(1.035), np.array(1.035))
     assert abs(found / truth - 1) < 0.10
@@ -133,6 +134,24 @@ def test_bodies_of_many_layers_hide_no_more_than_they_cover(normal):
     below, left = compared(dark, "dark bodies", 1.0, normal, places)
     assert np.abs(found - truth).max() < 0.045
     assert np.abs(below - left).max() < 0.055
+
+
+def test_relit_splats_scatter_what_falls_on_them():
+    """A sheet of albedo 0.5 in place of its own light: black in the dark without a bounce."""
+    splats = sheet(40, 0.05, 0.99, light=0.5)
+    shines = build.captured("sheet that shines", splats)
+    relit = replace(shines, key="relit sheet", lighting="RELIT")
+    found = []
+    for one in (shines, relit):
+        light = SceneLight(build.scene((one, build.moved()), lights=(), world=World(np.zeros(3))), EYE)
+        found.append((light.at(PLACES, UP).max(), light.surfels))
+        light.release()
+    assert found[1][0] == 0 < found[0][0]
+    (_, own), (_, lit) = found
+    assert len(own.receiving) == 0
+    assert len(lit.receiving) == len(lit) == len(own)
+    np.testing.assert_array_equal(lit.albedo, own.emission)
+    np.testing.assert_allclose(np.linalg.norm(lit.normal, axis=1), 1, atol=1e-6)
 
 
 def test_a_picture_of_a_floor_below_splats():
