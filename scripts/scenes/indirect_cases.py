@@ -1,5 +1,5 @@
 """Cases with indirect light: in a corner by a sun and a sky; among balls and strands by what glows and by a picture;
-under smoke, among mirrors."""
+under smoke, among mirrors, beside captured splats."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from pointsplat_addon.core.scene.captured import CapturedSplats
 from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
-from scripts.scenes.build import materials, mesh, moved, points, scene, strand_lines, sun
+from scripts.scenes.build import captured, materials, mesh, moved, points, scene, strand_lines, sun
 from scripts.scenes.cameras import camera
 from scripts.scenes.case import Case
 from scripts.scenes.clouds import smoke_cloud, sphere_cloud
@@ -48,6 +49,24 @@ def among_mirrors() -> Case:
     )
     lit = scene(*things, lights=[sun(2.0)], world=World(np.array([0.3, 0.4, 0.6])), table=table)
     return Case(lit, camera((0.4, -3.0, 0.6)), SETTINGS)
+
+
+def beside_captured() -> Case:
+    """A cube on a floor beside captured splats that glow in a circle."""
+    turn = np.linspace(0, 2 * np.pi, 300)
+    position = np.stack([0.5 * np.cos(turn), 0 * turn, 0.5 * np.sin(turn)], axis=1).astype(np.float32)
+    count, f = len(position), np.float32
+    splats = CapturedSplats(
+        position, np.full((count, 3), 0.05, f), np.tile(np.array([[1, 0, 0, 0]], f), (count, 1)),
+        np.tile(np.array([[1.5, 0.5, 0]], f), (count, 1)), np.full(count, 0.8, f),
+    )  # fmt: skip
+    things = (
+        (mesh(plane_mesh("floor beside splats", 4.0), "POLYGONS"), LAID @ moved((0, 0, 0.4))),
+        (mesh(cube_mesh("cube beside splats", 0.5), "POLYGONS"), moved((0.9, 0, 0))),
+        (captured("circle of splats", splats), moved((-0.3, 0, 0))),
+    )
+    lit = scene(*things, lights=(), world=World(np.full(3, 0.2)), table=materials())
+    return Case(lit, camera((0.4, -3.0, 0.6)), replace(SETTINGS, bounces=1))
 
 
 def among_balls_and_strands() -> Case:

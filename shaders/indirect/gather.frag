@@ -6,6 +6,9 @@
 // A walk meets near nodes first. A node is opened until it is smaller than a cell; then it covers as much of the cells under it
 // as it is large. Nodes behind cells that are covered are passed over. What surfaces cover adds up, so that they are tight; leaves
 // and hairs hide each other as if they lay there by chance. PS_GLOSSY: out_glossy is wanted. PS_MEDIA: media hide and send light, too, along PS_RAYS x PS_RAYS rays through each cell.
+// PS_CAPTURED: there are captured splats. They cover 4 x 4 parts of each cell, for they lie in many layers, which would all add up in a
+// cell that they cover in part. In a part what lies at one distance adds up, as it tiles a surface; what lies clearly farther away,
+// beside how far a tilted surface goes on within a cell, is hidden by chance.
 // PS_EVERY_SIDE: of a hemisphere, half of what a receiver within a medium sees: without the cosine.
 // PS_MOMENTS, with it: in place of out_diffuse, moments over the hemisphere of what is seen, as of core/indirect/moments.py.
 
@@ -34,7 +37,7 @@
 #define PS_TIGHTENED 3.0
 // How large nodes may be whose surfaces are turned to all sides, over those that are flat: one mean radiance stands for all.
 #define PS_TURNED 0.25
-#define PS_LEAVES 8.0  // the same of leaves, which need not be tight
+#define PS_LEAVES 4.0  // the same of leaves, which need not be tight
 #define PS_HAIRS 16.0  // and of hairs, of whose area half as much is seen
 #define PS_SPREAD 1.0  // radii of these: the side of the square over which one is spread
 #define PS_ROUND 2.0  // the same of balls, each of which has one radiance
@@ -45,6 +48,10 @@
 #define PS_BESIDE 1.2  // times farther away than backs, up to which fronts take their place
 #define PS_FULL 0.95  // share from which on nothing more is seen in a cell: what is open of it counts as closed
 #define PS_WIDENED 1.4  // how far circles reach in cells at most, over what their solid angle tells
+#define PS_LAYER 0.5  // half a cell: how much farther away a surface is at its other end, over the tangent of its tilt
+#define PS_LEAST_TILT 0.05  // cosine
+#define PS_BLUR 1.2  // how wide squares of captured splats are that cover parts of cells, over what their solid angle tells
+#define PS_SPLATS 1.0  // how large nodes of captured splats may be, over a cell
 #define PS_SKY_ROUGHNESS 0.4  // of the world's picture that is as blurred as a cell is wide
 
 float ps_covered[PS_CELLS * PS_CELLS];  // share of the cell
@@ -59,6 +66,12 @@ vec3 ps_mirrored[PS_CELLS * PS_CELLS];  // what PsGathered has of it, before med
 float ps_fronts = 0.0, ps_backs = 0.0;  // solid angles of surfaces that were seen from before, and from behind
 float ps_left[PS_CELLS * PS_CELLS];  // one over the distance of what is seen from behind, the latest
 float ps_inside[PS_CELLS * PS_CELLS];  // covered by surfaces that are seen from before, less those from behind
+#ifdef PS_CAPTURED
+float ps_layer[PS_CELLS * PS_CELLS];  // one over the distance at which the latest layer of captured splats begins
+// Shares of the parts of cells that captured splats cover, a row of four parts in each, and what was covered before that layer.
+vec4 ps_parts[PS_CELLS * PS_CELLS * 4];
+vec4 ps_before[PS_CELLS * PS_CELLS * 4];
+#endif
 uvec2 ps_full = uvec2(0u);  // cells that are covered, a bit each, 8 for a row, 4 rows in each number
 
 struct PsGathered {
@@ -89,6 +102,11 @@ struct PsSeen {
   float nearness;  // one over its distance
   float across;  // sides of the square that it is spread over, over its distance; at least a cell and at most two count
   float front, back;  // solid angles of what faces the receiver, and of what does not
+#ifdef PS_CAPTURED
+  float layer;  // of captured splats: how many times farther away others of the same surface may be
+  vec3 normal;  // of these, in the receiver's axes
+  float upright;  // and how much of a disk they show
+#endif
 };
 
 // Covers a part, a rectangle of a cell, by a piece of surface; `share`: of the piece that lies in it, per area in cells.
@@ -107,10 +125,11 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   float covered = ps_covered[i], inside = ps_inside[i], of_cell = ps_weight[i], latest = ps_left[i];
   vec3 light = ps_light[i];
   float entered = seen.front * part, left = seen.back * part;
-  float solid = look.scattered ? 0.0 : 1.0, shown = solid * (1.0 - covered) * cell;
+  bool tiles = !look.scattered;
+  float solid = tiles ? 1.0 : 0.0, shown = solid * (1.0 - covered) * cell;
   ps_fronts += entered * shown;
   ps_backs += left * shown;
-  bool is_late = !look.scattered && inside < 0.0 && seen.nearness * PS_BESIDE > latest;
+  bool is_late = tiles && inside < 0.0 && seen.nearness * PS_BESIDE > latest;
   float late = is_late ? min(min(entered, -inside), covered) : 0.0;
   float kept = 1.0 - late / max(covered, 1e-30);
   covered -= late;
@@ -123,12 +142,12 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   covered += covers;
   float weight = covers * cell * PS_COSINE(seen.direction);
   sum.nearness += weight * seen.nearness;
-  vec3 radiance = (entered * seen.radiance + seen_back * (look.scattered ? seen.radiance : look.inside)) / max(whole, 1e-30);
+  vec3 radiance = (entered * seen.radiance + seen_back * (tiles ? look.inside : seen.radiance)) / max(whole, 1e-30);
   ps_covered[i] = covered;
   ps_inside[i] = inside;
   ps_weight[i] = of_cell * kept + weight;
   ps_light[i] = light * kept + radiance * weight;
-  ps_left[i] = seen_back > 0.0 && !look.scattered ? seen.nearness : latest;
+  ps_left[i] = seen_back > 0.0 && tiles ? seen.nearness : latest;
 #ifdef PS_MEDIA
   ps_distance[i] = ps_distance[i] * kept + weight / max(seen.nearness, 1e-30);
 #endif
@@ -136,6 +155,85 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   ps_full |= at.y < 4 ? uvec2(full, 0u) : uvec2(0u, full);
   ps_add_glossy(sum, i, radiance, covers * cell, seen.direction, lobe);
 }
+
+#ifdef PS_CAPTURED
+float ps_sum(mat4 parts)
+{
+  return dot(parts * vec4(1.0), vec4(1.0));
+}
+
+// Covers parts of a cell by captured splats, a rectangle of cells of which they hide a share.
+void ps_cover_parts(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, float cell, PsSeen seen, vec4 lobe)
+{
+  vec2 overlap = min(high, vec2(at + 1)) - max(low, vec2(at));
+  if (overlap.x <= 0.0 || overlap.y <= 0.0 || at.x >= PS_CELLS || at.y >= PS_CELLS) {
+    return;
+  }
+  int i = at.y * PS_CELLS + at.x;
+  bool behind = seen.nearness * seen.layer < ps_layer[i] || ps_layer[i] == 0.0;
+  ps_layer[i] = behind ? seen.nearness : ps_layer[i];
+  const vec4 steps = vec4(0.0, 0.25, 0.5, 0.75);
+  vec4 across = clamp(4.0 * (min(vec4(high.x - float(at.x)), steps + 0.25) - max(vec4(low.x - float(at.x)), steps)), 0.0, 1.0);
+  vec4 along = clamp(4.0 * (min(vec4(high.y - float(at.y)), steps + 0.25) - max(vec4(low.y - float(at.y)), steps)), 0.0, 1.0);
+  mat4 own = mat4(ps_parts[4 * i], ps_parts[4 * i + 1], ps_parts[4 * i + 2], ps_parts[4 * i + 3]);
+  mat4 before = mat4(ps_before[4 * i], ps_before[4 * i + 1], ps_before[4 * i + 2], ps_before[4 * i + 3]);
+  before = behind ? own : before;
+  mat4 within = outerProduct(across, along), all = mat4(vec4(1.0), vec4(1.0), vec4(1.0), vec4(1.0));
+  mat4 wanted = matrixCompMult(within, all - before) * share, open_parts = all - own;
+  mat4 got = mat4(min(wanted[0], open_parts[0]), min(wanted[1], open_parts[1]), min(wanted[2], open_parts[2]), min(wanted[3], open_parts[3]));
+  // What finds its own parts covered closes gaps beside.
+  mat4 gaps = matrixCompMult(within, open_parts - got);
+  float rest = ps_sum(wanted) - ps_sum(got), room = ps_sum(gaps);
+  got += gaps * min(rest / max(room, 1e-6), 1.0);
+  float more = 0.0625 * ps_sum(got), so_far = 0.0625 * ps_sum(own);
+  own += got;
+  ps_parts[4 * i] = own[0];
+  ps_parts[4 * i + 1] = own[1];
+  ps_parts[4 * i + 2] = own[2];
+  ps_parts[4 * i + 3] = own[3];
+  ps_before[4 * i] = before[0];
+  ps_before[4 * i + 1] = before[1];
+  ps_before[4 * i + 2] = before[2];
+  ps_before[4 * i + 3] = before[3];
+  // What else covers the cell covers its parts alike.
+  float covered = ps_covered[i], covers = min(more / max(1.0 - so_far, 1e-6), 1.0) * (1.0 - covered);
+  covered += covers;
+  float weight = covers * cell * PS_COSINE(seen.direction);
+  sum.nearness += weight * seen.nearness;
+  ps_covered[i] = covered;
+  ps_weight[i] += weight;
+  ps_light[i] += seen.radiance * weight;
+#ifdef PS_MEDIA
+  ps_distance[i] += weight / max(seen.nearness, 1e-30);
+#endif
+  uint full = covered >= PS_FULL ? 1u << uint((at.y & 3) * 8 + at.x) : 0u;
+  ps_full |= at.y < 4 ? uvec2(full, 0u) : uvec2(0u, full);
+  ps_add_glossy(sum, i, seen.radiance, covers * cell, seen.direction, lobe);
+}
+
+// A piece of captured splats, smaller than a cell, hides the rectangle around its own picture, of a part's size at least.
+void ps_deposit_parts(inout PsGathered sum, PsSeen seen, vec4 lobe)
+{
+  float cell = ps_cell_solid_angle(seen.direction), angle = (seen.front + seen.back) / cell;
+  vec2 centre = ps_cell_from_direction(seen.direction);
+  // Half-axes of the picture of a square that is tilted.
+  float side = sqrt((seen.front + seen.back) / seen.upright) * 0.5;
+  vec3 across = cross(seen.normal, seen.direction);
+  across *= side * inversesqrt(max(dot(across, across), 1e-12));
+  vec3 first_end = seen.direction + across, second_end = seen.direction + seen.upright * cross(seen.direction, across);
+  vec2 first_axis = ps_cell_from_direction(normalize(vec3(first_end.xy, max(first_end.z, 0.0)))) - centre;
+  vec2 second_axis = ps_cell_from_direction(normalize(vec3(second_end.xy, max(second_end.z, 0.0)))) - centre;
+  vec2 reach = clamp(PS_BLUR * sqrt(first_axis * first_axis + second_axis * second_axis), 0.125, 0.5);
+  vec2 low = clamp(centre - reach, vec2(0.0), vec2(PS_CELLS)), high = clamp(centre + reach, vec2(0.0), vec2(PS_CELLS));
+  vec2 sides = max(high - low, 1e-6);
+  float share = angle / (sides.x * sides.y);
+  ivec2 first = ivec2(low);
+  ps_cover_parts(sum, first, low, high, share, cell, seen, lobe);
+  ps_cover_parts(sum, first + ivec2(1, 0), low, high, share, cell, seen, lobe);
+  ps_cover_parts(sum, first + ivec2(0, 1), low, high, share, cell, seen, lobe);
+  ps_cover_parts(sum, first + ivec2(1, 1), low, high, share, cell, seen, lobe);
+}
+#endif
 
 // A piece of surface is smaller than a cell, and counts as a square of a cell's size around it: cells are then covered more evenly
 // than by squares of its own size. Leaves and hairs together may be larger, and fill up to two by two cells, the nearest.
@@ -180,6 +278,9 @@ bool ps_behind(vec3 direction, float wide, float cell)
 float ps_sameness(PsNode node, float along)
 {
   float surface = (node.bits & 1 << 21) != 0 ? PS_ROUND : mix(PS_TURNED, 1.0, along * along * along);
+#ifdef PS_CAPTURED
+  surface = (node.bits & 1 << 22) != 0 ? PS_SPLATS : surface;
+#endif
   float scattered = (node.bits & 1 << 21) != 0 ? PS_HAIRS : PS_LEAVES;
   return (node.bits & 256) != 0 ? scattered : surface;
 }
@@ -261,6 +362,11 @@ void main()
     ps_light[i] = vec3(0.0);
     ps_inside[i] = 0.0;
     ps_left[i] = 0.0;
+#ifdef PS_CAPTURED
+    ps_layer[i] = 0.0;
+    ps_parts[4 * i] = ps_parts[4 * i + 1] = ps_parts[4 * i + 2] = ps_parts[4 * i + 3] = vec4(0.0);
+    ps_before[4 * i] = ps_before[4 * i + 1] = ps_before[4 * i + 2] = ps_before[4 * i + 3] = vec4(0.0);
+#endif
 #ifdef PS_MEDIA
     ps_distance[i] = 0.0;
 #ifdef PS_GLOSSY
@@ -362,11 +468,24 @@ void main()
       PsSeen seen;
       seen.nearness = 1.0 / away;
       seen.across = look.scattered ? PS_SPREAD * node.radius / away : 0.0;
+#ifdef PS_CAPTURED
+      float upright_to = max(look.along * abs(toward) + 1.0 - look.along, PS_LEAST_TILT);
+      seen.upright = upright_to;
+      seen.normal = vec3(dot(look.axis, tangent), dot(look.axis, across), dot(look.axis, n));
+      seen.layer = 1.0 + PS_LAYER * max(sqrt(max(1.0 - upright_to * upright_to, 0.0)) / upright_to, 1.0);
+#endif
       seen.front = (both + signed_area) * angle;
       seen.back = (both - signed_area) * angle;
       seen.direction = normalize(vec3(dot(to, tangent), dot(to, across), max(rises, 0.25 * top)));
       seen.radiance = toward > 0.0 ? look.before : look.behind;
+#ifdef PS_CAPTURED
+      if (top > 0.0 && look.captured) {
+        ps_deposit_parts(sum, seen, lobe);
+      }
+      if (top > 0.0 && !look.captured) {
+#else
       if (top > 0.0) {
+#endif
         ps_deposit(sum, seen, look, lobe);
       }
     }

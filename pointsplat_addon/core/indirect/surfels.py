@@ -27,15 +27,32 @@ class Surfels:
     # lies on the left, seen from before; (0, 0, 0): any shape of about equal width
     edge: np.ndarray
     half: np.ndarray  # (N,) bool: it is a triangle, half of a rectangle
+    # (N,) bool: it stands for captured splats (core/indirect/captured.py), on which light falls only where they scatter
+    # some; None: none does
+    captured: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.area)
 
     def take(self, rows: np.ndarray) -> Surfels:
         """Returns the surfels `rows`, in their order."""
-        return Surfels(self.origin, *(getattr(self, name)[rows] for name in ARRAYS))
+        captured = None if self.captured is None else self.captured[rows]
+        return Surfels(self.origin, *(getattr(self, name)[rows] for name in ARRAYS), captured=captured)
+
+    @property
+    def receiving(self) -> np.ndarray:
+        """(n,) int64: those that light falls on."""
+        if self.captured is None:
+            return np.arange(len(self))
+        return np.flatnonzero(~self.captured | self.albedo.any(axis=1))
 
 
 def joined(parts: Sequence[Surfels]) -> Surfels:
     """Returns all surfels of at least one part; they have one origin."""
-    return Surfels(parts[0].origin, *(np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS))
+    arrays = (np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS)
+    captured = None
+    if any(part.captured is not None for part in parts):
+        captured = np.concatenate(
+            [np.zeros(len(part), bool) if part.captured is None else part.captured for part in parts]
+        )
+    return Surfels(parts[0].origin, *arrays, captured=captured)

@@ -14,8 +14,11 @@ from ..numeric.morton import DEPTH, morton_codes, sorted_by_code
 from ..numeric.record import record
 from ..numeric.segments import owners, starts
 from ..numeric.vectors import dot
+from ..surface.neighbourhoods.planes import eigenvalues
 from .surfels import Surfels
 
+EVEN = 12.0  # over the variance: the squared width of an even patch
+KNUD_THOMSEN = 1.6075  # exponent
 SQUARINGS = 3  # of the matrix whose largest eigenvector is looked for
 # Columns of sums over surfels, weighted by area.
 AREA, POSITION, NORMAL, SCATTERED, PRODUCTS = 0, slice(1, 4), slice(4, 7), 7, slice(8, 14)
@@ -36,6 +39,7 @@ class LightTree:
     along: np.ndarray  # (M,) float32: 1 where all normals lie along the axis, 0 where they are turned evenly
     thickness: np.ndarray  # (M,) float32: how far along the axis, either way, all its surfels' disks lie at most
     scattered: np.ndarray  # (M,) float32: share of the area that belongs to leaves and hairs
+    captured: np.ndarray | None  # (M,) bool: most of the area belongs to captured splats; None: of no node
     first: np.ndarray  # (M,) int32: first child; -1: a leaf
     octants: np.ndarray  # (M,) uint8: which of the eight children there are, bit by bit
     edge: np.ndarray  # (M, 3) float32: of leaves that are rectangles or triangles, as Surfels.edge; else (0, 0, 0)
@@ -186,6 +190,10 @@ def _placed(
         reach = thickness[children] * tilted + radii[children] * np.sqrt(1 - tilted * tilted)
         highest = np.maximum.reduceat(away + np.minimum(reach, radii[children]), starts(count))
         thickness[nodes] = np.minimum(highest, radii[nodes])
+    captured = None
+    if surfels.captured is not None:
+        captured = _mostly(surfels.captured, surfels, leaf, placed, area)
+        area = _areas_seen(surfels, leaf, placed, captured, area, position)
     edge = np.zeros((size, 3), f)
     half = np.zeros(size, bool)
     edge[leaf], half[leaf] = surfels.edge, surfels.half
@@ -199,6 +207,7 @@ def _placed(
         along=along.astype(f),
         thickness=thickness.astype(f),
         scattered=means[SCATTERED].astype(f),
+        captured=captured,
         first=first,
         octants=masks[number],
         edge=edge,
@@ -207,6 +216,56 @@ def _placed(
         turned=turned,
         levels=tuple(placed),
     )
+
+
+def _mostly(
+    which: np.ndarray,
+    surfels: Surfels,
+    leaf: np.ndarray,
+    levels: list[tuple[np.ndarray, np.ndarray, slice]],
+    area: np.ndarray,
+) -> np.ndarray:
+    """(M,) bool: nodes most of whose area, (M,), belongs to surfels of a kind, (N,) bool. `leaf`, `levels`: as of
+    LightTree."""
+    held = np.bincount(leaf, surfels.area * which, len(area))
+    for nodes, count, children in levels:
+        held[nodes] = np.add.reduceat(held[children], starts(count))
+    return held > 0.5 * area
+
+
+def _areas_seen(
+    surfels: Surfels,
+    leaf: np.ndarray,
+    levels: list[tuple[np.ndarray, np.ndarray, slice]],
+    captured: np.ndarray,
+    area: np.ndarray,
+    position: np.ndarray,
+) -> np.ndarray:
+    """(M,): the areas of nodes, those of captured splats, (M,) bool, at most as large as fills, in the mean over all
+    directions, their own pictures: what lies behind other things within a node hides nothing more. An even patch with a
+    node's second moments has its picture. position: (3, M)."""
+    size = len(area)
+    turned = surfels.normal.astype(np.float64)
+    own = surfels.area.astype(np.float64)
+    away = surfels.position.T - position[:, leaf]
+    moments = np.empty((6, size))
+    for row, (a, b) in enumerate(PAIRS):
+        patch = own / EVEN * ((a == b) - turned[:, a] * turned[:, b])
+        moments[row] = np.bincount(leaf, own * (away[a] * away[b] + patch), size)
+    seen = area.copy()
+    for nodes, count, children in levels:
+        first = starts(count)
+        off = position[:, children] - np.repeat(position[:, nodes], count, axis=1)
+        for row, (a, b) in enumerate(PAIRS):
+            moments[row, nodes] = np.add.reduceat(moments[row, children] + area[children] * off[a] * off[b], first)
+        xx, yy, zz, xy, xz, yz = moments[:, nodes] / area[nodes]
+        values = np.sqrt(np.maximum(eigenvalues(np.stack([xx, xy, xz, yy, yz, zz])), 0))
+        faces = [values[k] * values[(k + 1) % 3] for k in range(3)]
+        # Knud Thomsen's approximation to the surface of an ellipsoid, of which a quarter is its mean picture (Cauchy).
+        mean = EVEN * (sum(face**KNUD_THOMSEN for face in faces) / 3) ** (1 / KNUD_THOMSEN)
+        together = np.add.reduceat(seen[children], first)
+        seen[nodes] = np.where(captured[nodes], np.minimum(together, 2 * mean), together)
+    return seen
 
 
 def _axes(products: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -91,6 +91,7 @@ class Baker:
         receivers are chosen; None: all count as large as they are."""
         self._scene, self._surfels, self._bounces, self._media = scene, surfels, bounces, media
         self._apart = np.zeros(len(surfels)) if apart is None else apart
+        self._receiving = surfels.receiving
         self._names = world_names(lighting)
         self._lamps = tuple(name for name in lighting if name not in self._names)
         self._tree = build_tree(surfels) if len(surfels) else None
@@ -136,8 +137,9 @@ class Baker:
         if bounces == 0:
             return (yield from self._finished(shines))
         direct = self._direct()
-        receivers = bounce_receivers(self._surfels, MOST_BOUNCE_RECEIVERS, self._apart)
-        at = self._surfels.take(receivers.rows)
+        lit_ones, lit_apart = self._surfels.take(self._receiving), self._apart[self._receiving]
+        receivers = bounce_receivers(lit_ones, MOST_BOUNCE_RECEIVERS, lit_apart)
+        at = lit_ones.take(receivers.rows)
         # What lamps light is bright in places: it is gathered together with the sky, so that it is a
         # bounce ahead of what the sky lights.
         lit = direct if bounces > 1 else Leaving(np.zeros_like(direct.surfels), np.zeros_like(direct.media))
@@ -145,7 +147,7 @@ class Baker:
         found = yield from self._gathered(at, shines + lit, 1.0)
         total = shines + direct + self._scattered(receivers, found)
         # All further light is even, and gathered at fewer.
-        fewer = bounce_receivers(at, MOST_BOUNCE_RECEIVERS // FEWER, self._apart[receivers.rows])
+        fewer = bounce_receivers(at, MOST_BOUNCE_RECEIVERS // FEWER, lit_apart[receivers.rows])
         some, gain, now = at.take(fewer.rows), found, np.zeros(3)
         falls = [found.surfels[..., :3]]
         for number in range(1, bounces):
@@ -165,7 +167,7 @@ class Baker:
             total = total + self._scattered(receivers, gain)
             falls.append(gain.surfels[..., :3])
         baked = yield from self._finished(total)
-        apart = np.bincount(receivers.others[0], self._surfels.area, len(receivers.rows)) ** 0.5
+        apart = np.bincount(receivers.others[0], lit_ones.area, len(receivers.rows)) ** 0.5
         return replace(baked, received=_received(at, apart, falls))
 
     @property
@@ -176,7 +178,12 @@ class Baker:
     def _scattered(self, receivers: BounceReceivers, found: Received) -> Leaving:
         """What is sent on of light that falls on receivers."""
         media = self._media
-        of_surfels = self._surfels.albedo * receivers.spread(found.surfels[..., :3])
+        spread, rows = receivers.spread(found.surfels[..., :3]), self._receiving
+        if len(rows) < len(self._surfels):
+            falls = np.zeros((2, len(self._surfels), 3), np.float32)
+            falls[:, rows] = spread
+            spread = falls
+        of_surfels = self._surfels.albedo * spread
         if media is None:
             return Leaving(of_surfels, self._shining)
         return Leaving(of_surfels, media.scattering * media.in_cells(media.on_blocks(found.media[:, :3])))
@@ -212,7 +219,8 @@ class Baker:
         found = np.zeros((2, len(surfels), 3), np.float32)
         sent = np.zeros_like(self._shining)
         if lights:
-            for side, rows, position, normal, share in sides(surfels):
+            for side, some, position, normal, share in sides(surfels.take(self._receiving)):
+                rows = self._receiving[some]
                 lit = lit_surfels(self._device, self._lamps, lights, position, normal, self._textures)
                 found[side, rows] += np.float32(share) * lit
         if lights and media is not None:

@@ -14,7 +14,7 @@ from ...shading.interface import Interface
 from ..cache.keys import Key
 from ..device.protocol import Device, Texture
 from ..passes.indirect.gather import COARSENESS, Gather, gather_program
-from ..passes.indirect.pages import MEDIA_WIDTH, NODE_WIDTH, RECEIVER_WIDTH, paged_texture, receiver_texture
+from ..passes.indirect.pages import CAPTURED, MEDIA_WIDTH, NODE_WIDTH, RECEIVER_WIDTH, paged_texture, receiver_texture
 from .known_sites import KnownSites
 from .media import BakedMedia
 
@@ -53,6 +53,7 @@ class IndirectLight:
         self.origin = baked.origin
         self._baked: BakedLight | None = baked  # until something is gathered
         self._root, self.media = len(baked.nodes) - 1, baked.media
+        self._captured = bool((baked.nodes[:, 6] >= CAPTURED).any())
         self._table = light_texture((), world, np.eye(4))
         self._textures: dict[str, Texture] = {}
         self.known, self.known_moments = KnownSites(8), KnownSites(MOMENTS)
@@ -107,7 +108,7 @@ class IndirectLight:
         them is open.
         """
         glossy, count = sharpness is not None, len(position)
-        program = gather_program(self._names, glossy, media=self.media is not None, colored=self._colored)
+        program = self._program(glossy)
         mirror = normal if mirror is None else mirror
         sharpness = np.ones(count, np.float32) if sharpness is None else sharpness
         return self._gathered(program, (position, normal, mirror, sharpness), 1.0, sky)
@@ -115,7 +116,7 @@ class IndirectLight:
     def moments(self, position: np.ndarray, sky: dict[str, Texture]) -> np.ndarray:
         """Gathers from all sides at places (N, 3): (N, 24) float32, as of core/indirect/moments.py. Otherwise as
         `gathered`."""
-        program = gather_program(self._names, False, media=self.media is not None, colored=self._colored, moments=True)
+        program = self._program(False, moments=True)
         found = np.zeros((len(position), MOMENTS), np.float32)
         for sign in (1.0, -1.0):
             up = np.broadcast_to(np.array([0.0, 0.0, sign]), position.shape)
@@ -125,19 +126,23 @@ class IndirectLight:
     def bounced(self, position: np.ndarray, normal: np.ndarray, sky: float, pictures: dict[str, Texture]) -> np.ndarray:
         """Gathers less finely, by `sky` times the world's light: (N, 4) float32, irradiance over pi and the mean of
         what the world has in it. Otherwise as `gathered`."""
-        program = gather_program(self._names, False, bounces=True, media=self.media is not None, colored=self._colored)
+        program = self._program(False, bounces=True)
         return self._gathered(program, (position, normal, normal, np.ones(len(position))), sky, pictures)
 
     def within_media(self, position: np.ndarray, sky: float, pictures: dict[str, Texture]) -> np.ndarray:
         """Gathers from all sides at places (N, 3) in media: (N, 4) float32, mean radiance and the mean of what the
         world has in it. Otherwise as `bounced`."""
-        program = gather_program(self._names, False, bounces=True, media=True, every_side=True, colored=self._colored)
+        program = self._program(False, bounces=True, every_side=True)
         found = np.zeros((len(position), 4), np.float32)
         for sign in (1.0, -1.0):
             up = np.broadcast_to(np.array([0.0, 0.0, sign]), position.shape)
             receivers = position, up, up, np.ones(len(position))
             found += np.float32(0.5) * self._gathered(program, receivers, sky, pictures)
         return found
+
+    def _program(self, glossy: bool, **kind: bool) -> Interface:
+        of_scene = {"media": self.media is not None, "colored": self._colored, "captured": self._captured}
+        return gather_program(self._names, glossy, **of_scene, **kind)
 
     def _gathered(
         self, program: Interface, receivers: tuple[np.ndarray, ...], sky: float, pictures: dict[str, Texture]

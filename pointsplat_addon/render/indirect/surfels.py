@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...core.indirect.captured import captured_surfels
 from ...core.indirect.closed import is_closed
 from ...core.indirect.sampling import LightSamples, light_samples
 from ...core.indirect.surfels import Surfels, joined
 from ...core.light.bsdf import relative_index, sample_reflectance_table
 from ...core.lod.foliage import is_foliage
 from ...core.scene.camera import Camera
+from ...core.scene.captured import CapturedSplats
 from ...core.scene.cloud import PointCloud
 from ...core.scene.materials import MaterialTable
 from ...core.scene.mesh import Mesh
@@ -64,7 +66,7 @@ def usable_instances(scene: Scene) -> np.ndarray:
 def scene_surfels(
     scene: Scene, density: Density, origin: np.ndarray, store: Store, check: Callable[[], None]
 ) -> Surfels:
-    """Returns the surfels of everything opaque that hides or scatters light."""
+    """Returns the surfels of everything that hides or scatters light, but of media and translucent things."""
     found: list[Surfels] = []
     rows_of = scene.instances.of_each(len(scene.geometries), usable_instances(scene))
     for geometry, rows in zip(scene.geometries, rows_of, strict=True):
@@ -116,6 +118,9 @@ def _surfels(
     if geometry.strands is not None and len(geometry.strands):
         strands = geometry.strands
         return [_of_strands(strands, table, one, at) for one, at in zip(matrices, spacings, strict=True)]
+    if geometry.captured is not None and len(geometry.captured):
+        splats, relit = geometry.captured, geometry.lighting == "RELIT"
+        return [_of_captured(splats, relit, one, at) for one, at in zip(matrices, spacings, strict=True)]
     return []
 
 
@@ -244,6 +249,19 @@ def _of_strands(strands: Strands, table: MaterialTable, matrix: np.ndarray, spac
         np.zeros(count, bool),
     )
     return _moved(local, matrix[None])
+
+
+def _of_captured(splats: CapturedSplats, relit: bool, matrix: np.ndarray, spacing: Spacing) -> Surfels:
+    """The surfels of captured splats, which shine, or scatter what falls on them where they are `relit`."""
+    made = captured_surfels(splats, matrix, spacing)
+    count = len(made.area)
+    none, no, yes = np.zeros((count, 3), np.float32), np.zeros(count, bool), np.ones(count, bool)
+    normal, albedo, emission = made.normal, none, made.color
+    if relit:
+        length = np.sqrt((normal**2).sum(axis=1, keepdims=True))
+        normal = normal / np.maximum(length, np.float32(1e-30))
+        albedo, emission = np.minimum(made.color, 1), none
+    return Surfels(np.zeros(3), made.position, normal, made.area, no, no, albedo, emission, none, no, yes)
 
 
 def _scale(matrices: np.ndarray) -> np.ndarray:

@@ -300,6 +300,7 @@ def _gathers(view: ViewToPlan) -> bool:
         one.cloud is not None and one.cloud.extinction is not None and one.cloud.emission is not None
         for one in scene.geometries
     )
+    emits = emits or any(one.captured is not None for one in scene.geometries)
     world = scene.world.image is not None or bool(np.any(scene.world.color > 0))
     return drawn and not view.defocus and (emits or world or (settings.bounces > 0 and bool(scene.lights)))
 

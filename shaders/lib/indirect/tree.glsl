@@ -17,6 +17,9 @@ struct PsNodeLook {
   vec3 axis;  // along which most normals lie
   float along;  // how far they do
   bool scattered;  // leaves or hairs, and no surface
+#ifdef PS_CAPTURED
+  bool captured;  // captured splats
+#endif
   vec3 before, behind;  // radiance of the side that the axis points to, and of the other
   vec3 inside;  // of surfaces, from behind
 };
@@ -61,6 +64,9 @@ PsNodeLook ps_node_look(int number, PsNode node)
   look.axis = ps_unpack_normal(node.axis);
   look.along = ps_along(node);
   look.scattered = (node.bits & 256) != 0;
+#ifdef PS_CAPTURED
+  look.captured = (node.bits & 1 << 22) != 0;
+#endif
   look.before = ps_unpack_radiance(a.zw);
   look.behind = ps_unpack_radiance(b.xy);
   look.inside = ps_unpack_radiance(b.zw);

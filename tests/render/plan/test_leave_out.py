@@ -146,6 +146,9 @@ EXPECTED = {
     + GROUPED
     + LAYERS,
     "indirect light among mirrors": "shadow+maps light+tree gather polygons background " + GROUPED,
+    "indirect light beside captured splats": "light+tree gather order captured polygons background "
+    "expand difference translucent add " + GROUPED,
+    "captured splats alone, indirect light asked for": "order captured background translucent add",
     "EWA": EWA + SEEN,
     "EWA, adaptive": "adapt " + EWA + SEEN,
     "EWA among polygons": "polygons " + EWA + SEEN,

@@ -229,6 +229,10 @@ ROWS: dict[str, Row] = {
     "indirect light among balls and strands": Row(indirect_cases.among_balls_and_strands),
     "indirect light under smoke": Row(indirect_cases.under_smoke),
     "indirect light among mirrors": Row(indirect_cases.among_mirrors),
+    "indirect light beside captured splats": Row(indirect_cases.beside_captured),
+    "captured splats alone, indirect light asked for": Row(
+        lambda: with_settings(captured_cases.captured_alone(), technique="VISIBILITY", use_indirect=True)
+    ),
     "EWA": Row(lambda: with_settings(solid_cases.sphere(), technique="EWA")),
     "EWA, adaptive": Row(lambda: with_settings(solid_cases.sphere(), technique="EWA"), samples=16),
     "EWA among polygons": Row(lambda: with_settings(solid_cases.mixed(), technique="EWA")),

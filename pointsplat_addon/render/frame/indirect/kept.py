@@ -94,8 +94,9 @@ def scene_content(scene: Scene, store: Store) -> tuple:
     """Returns what the light of a scene depends on, but for cameras and settings: the keys of its geometries, and
     hashes of all else."""
     instances = scene.instances
+    captured = tuple(one.lighting for one in scene.geometries if one.captured is not None)
     return (
-        tuple(geometry.key for geometry in scene.geometries),
+        tuple(geometry.key for geometry in scene.geometries), captured,
         _digest(instances.geometry, instances.world_from_object), _digest(*instances.objects.values()),
         _digest(*(() if instances.scatters is None else (instances.scatters,))), _digest(*_values(scene.materials)),
         tuple(_digest(*_values(one)) for one in scene.lights), _world_digest(scene, store),

@@ -31,17 +31,20 @@ def gather_program(
     every_side: bool = False,
     colored: bool = False,
     moments: bool = False,
+    captured: bool = False,
 ) -> Interface:
     """Returns the program that gathers. `world`: the PS_ names of the sky. `glossy`: what smooth surfaces mirror.
     `bounces`: light for surfaces that light others. `media`: there are some; its block is then GATHER_MEDIA_BLOCK.
     `every_side`: for receivers within media, of each of two hemispheres. `colored`: extinction of media differs between
-    the channels. `moments`: of what is seen all around, of each of two hemispheres."""
+    the channels. `moments`: of what is seen all around, of each of two hemispheres. `captured`: the tree has captured
+    splats."""
     lights = (("FLOAT_2D", "ps_lights"),) if world else ()
     picture = (("FLOAT_2D", "ps_environment"),) if "PS_HAS_ENVIRONMENT" in world else ()
     names = (*world, *(("PS_GLOSSY",) if glossy else ()), *(("PS_BOUNCES",) if bounces else ()))
     names += (*(("PS_MEDIA",) if media else ()), *(("PS_EVERY_SIDE",) if every_side or moments else ()))
     names += ("PS_MOMENTS",) if moments else ()
     names += ("PS_MEDIA_COLORED",) if media and colored else ()
+    names += ("PS_CAPTURED",) if captured else ()
     cells, rays = (BOUNCE_CELLS, BOUNCE_RAYS) if bounces else (CELLS, RAYS)
     of_media = (("PS_MEDIA_WIDTH", str(MEDIA_WIDTH)), ("PS_RAYS", str(rays))) if media else ()
     outputs = (("vec4", "out_diffuse"), *((("vec4", "out_glossy"),) if glossy else ()))
