@@ -11,6 +11,9 @@ from .cache import Cache
 from .keys import Key, Kind, streamed_names
 
 MOST_BYTES = 4 << 30  # of geometry that stay on the device after their frame
+# Shadow maps of what has moved are of no use to any other frame: an animation would fill MOST_BYTES with them.
+CHANGING = frozenset({Kind.SHADOW_MAP_TEXTURE, Kind.PANE_TEXTURE})
+MOST_CHANGING = 2  # of these that stay, for what is drawn by turns
 
 
 class DeviceCache(Cache):
@@ -61,14 +64,17 @@ class DeviceCache(Cache):
 
     def forget_streamed(self) -> None:
         """Frees what shows other pages of scans than a frame in the making does, and shadow maps that none uses."""
-        used = set().union(*self._in_use)
-        changing = {Kind.SHADOW_MAP_TEXTURE, Kind.PANE_TEXTURE}
-        loose = self.keys() - used
-        self.drop({key for key in loose if key.kind in changing or next(streamed_names(key), None) is not None})
+        loose = self.keys() - set().union(*self._in_use)
+        self.drop({key for key in loose if key.kind in CHANGING or next(streamed_names(key), None) is not None})
 
     def trim_unused(self) -> None:
-        """Frees what no frame in the making uses, least recently used first, until the rest fits."""
-        self.trim(set().union(*self._in_use))
+        """Frees what no frame in the making uses, least recently used first, until the rest fits; of shadow maps all
+        but a few."""
+        used = set().union(*self._in_use)
+        with self._lock:
+            changing = [key for key in self._items if key.kind in CHANGING and key not in used]
+            self.drop(set(changing[:-MOST_CHANGING]))
+        self.trim(used)
 
     def _added(self, key: Key) -> None:
         """Nothing is freed while a frame uploads: `trim_unused` is called when it has what it needs."""

@@ -303,3 +303,16 @@ def test_light_on_a_scan_is_that_of_rays(radius):
     without = picture(replace(case, settings=replace(case.settings, use_shadows=False))) - unlit
     found = (picture(case) - unlit).sum() / without.sum()
     assert abs(found / expected - 1) < 0.02  # measured 0.0013, 0.0066
+
+
+def test_maps_of_what_has_moved_do_not_stay():
+    """An animation would fill the device with them: found without it, 25 MB more for each frame of this one."""
+    base = seen(floor(), card(0.3), light=ABOVE)
+    held = []
+    for step in range(6):
+        matrices = base.scene.instances.world_from_object.copy()
+        matrices[1, 0, 3] += 0.1 * step
+        moved = replace(base.scene, instances=replace(base.scene.instances, world_from_object=matrices))
+        render(replace(base, scene=moved), COMBINED, 1)
+        held.append(opengl().device.bytes_allocated())
+    assert held[5] == held[4] == held[3]
