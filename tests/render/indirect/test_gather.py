@@ -160,10 +160,10 @@ def test_radiance_is_packed_to_a_few_thousandths():
     assert (np.abs(found - values) <= values.max(axis=1, keepdims=True) / 4095).all()
 
 
-@pytest.mark.parametrize(("depth", "count", "off"), [(0.25, 200_000, 0.03), (1, 200_000, 0.03), (3, 20_000, 0.01)])
+@pytest.mark.parametrize(("depth", "count", "off"), [(0.25, 200_000, 0.01), (1, 200_000, 0.004), (3, 20_000, 0.002)])
 def test_leaves_let_light_through_as_if_by_chance(depth, count, off):
     """Of the sky's light, 2 E3 of the depth comes through a layer of leaves that lie and are turned at random. Found:
-    0.024 more at a depth of 0.25, 0.021 at 1 and 0.006 at 3, where leaves are larger than cells."""
+    0.0077 more at a depth of 0.25, 0.0024 at 1 and 0.0011 at 3, where leaves are larger than cells."""
     rng = np.random.default_rng(1)
     half, low, high = 20.0, 1.0, 2.0
     place = rng.uniform([-half, -half, low], [half, half, high], (count, 3))
