@@ -55,7 +55,8 @@ def draw(
     are no averages are of the present one.
     """
     count = len(times)
-    known = {k: show(times[k]) for k in (0, count // 2, count - 1)}
+    middle = count // 2
+    known = {k: show(times[k]) for k in dict.fromkeys((0, count - 1, middle))}
     if all(same(known[0], other) for other in known.values()):
         return draw_one(scene, request)
     beside = frozenset(key for key in request.passes if key in CRYPTO or not BY_KEY[key].averaged)
@@ -64,10 +65,11 @@ def draw(
     sums: dict[str, np.ndarray] = {}
     reports, problems = [], []
     result = Result({}, {})
-    # The last one was shown last: it is drawn first, before another takes its place on the device.
-    for k in reversed(range(count)):
+    # The middle one was shown last: it is drawn first, before another takes its place on the device, and gathers the
+    # indirect light of all.
+    for k in (middle, *(k for k in reversed(range(count)) if k != middle)):
         shown, camera = known.pop(k, None) or show(times[k])
-        result, told = draw_one(shown, replace(each, camera=camera, moment=(k, count)))
+        result, told = draw_one(shown, replace(each, camera=camera, moment=(k, count), known_light=k != middle))
         if result.cancelled:
             return result, problems
         problems += told

@@ -11,6 +11,7 @@ import numpy as np
 from ..core.lod.cost import DEFAULT
 from ..core.scene.scene import Scene
 from .budget import budgeted, pacing
+from .budget.lighting import KnownLight
 from .budget.watch import Watch
 from .cache.device_cache import DeviceCache
 from .cache.store import Store
@@ -40,6 +41,7 @@ class Renderer:
         self.pool = Pool(device)
         self.costs = DEFAULT  # of this device
         self.pacers = pacing.Pacers()  # of the scenes that a budget of time was kept for
+        self._of_moment: KnownLight | None = None  # for further moments of a picture
 
     def render(
         self,
@@ -74,8 +76,12 @@ class Renderer:
             request = replace(request, passes=request.passes - asked, settings=settings)
         started = time.perf_counter()
         progress(0.0, "Preparing points")
+        if not request.known_light:
+            self._forget_light()
+        # Passes of light gather, and add up to Combined.
+        known = None if self._of_moment is None or asked else self._of_moment.light
         try:
-            frame = Frame(self, scene, request, cancelled)
+            frame = Frame(self, scene, request, cancelled, known=known)
         except Cancelled:
             return Result({}, {}, cancelled=True)
         light = Light.of(frame.frame_plan.plan, frame.frame_plan.scene, request.settings.bounces)
@@ -95,6 +101,10 @@ class Renderer:
                 if not frame.complete:
                     frame.clock.check()
             pixels = frame.pixels()
+            light_found = frame.indirect
+            if request.moment[1] > 1 and known is None and light_found is not None and light_found.tells:
+                if not frame.frame_plan.plan.mirrors:  # estimates blur what these show
+                    self._of_moment = KnownLight(self, scene, request.settings, light_found)
             if watch is not None:
                 watch.finished()
             result = Result(pixels, report(frame, time.perf_counter() - started), drawn=frame.drawn)
@@ -162,7 +172,13 @@ class Renderer:
         frame.clock.slow = False
         return frame
 
+    def _forget_light(self) -> None:
+        if self._of_moment is not None:
+            self._of_moment.release()
+        self._of_moment = None
+
     def release(self) -> None:
         """Free everything that the renderer keeps on the device, not the device itself."""
+        self._forget_light()
         self.kept.clear()
         self.pool.release()

@@ -17,6 +17,6 @@ def gathered(monkeypatch) -> list[int]:
 
         return counted
 
-    for name in ("gathered", "bounced"):
+    for name in ("gathered", "bounced", "moments"):
         monkeypatch.setattr(IndirectLight, name, counting(getattr(IndirectLight, name)))
     return counts
