@@ -41,7 +41,7 @@ from ..shadow.nested import with_nested
 from ..shadow.shadows import Shadows, make_shadows
 from .auxiliary import auxiliary_picture
 from .lens_view import camera_of_whole_lens
-from .make_plan import ViewToPlan, make_plan
+from .make_plan import ViewToPlan, make_plan, sends_light
 from .plan import Plan
 from .reasons import Absences, why_no_eye_dome, why_no_indirect, why_not_trained
 from .request import Request
@@ -50,6 +50,7 @@ from .valid import validated
 
 MOVING_SHADOWS, LEAST_SHADOWS = 4, 64  # part of the resolution of shadows while a view of scans read by pages moves
 MOST_MARGIN = 64  # pixels around the window in which the centres of wide splats are looked for
+UNLIT_OUT_OF_FOCUS = "Indirect light is left out: depth of field by Splat has none, Lens Samples have it"
 LENS_SAMPLES_BLUR = "each sample sees it through a point on the lens"  # the reason why the world has no picture
 
 
@@ -262,6 +263,8 @@ def make_frame_plan(
     )  # fmt: skip
     some = _has_opaque(prepared) or prepared.out_of_focus is not None
     lacks_eye_dome = request.settings.use_eye_dome and picture and some and not plan.eye_dome
+    lacks_indirect = request.settings.use_indirect and picture and reflects and prepared.out_of_focus is not None
+    lacks_indirect = lacks_indirect and sends_light(scene, request.settings.bounces)
     not_trained = settings.captured_blending == "TRAINED" and bool(prepared.captured) and picture and linear
     radius = filter_reach(neighbourhood(request.settings)) if sub_samples else plan.splat_radius(prepared.largest)
     view, corner = with_margin(camera, radius, limits.texture_size)
@@ -286,6 +289,7 @@ def make_frame_plan(
             *((technique.warning,) if technique.warning else ()),
             *shown_alike(scene, technique.name),
             *((f"Eye-dome lighting is left out: {absences.eye_dome}",) if lacks_eye_dome else ()),
+            *((UNLIT_OUT_OF_FOCUS,) if lacks_indirect else ()),
             *((f"Captured splats are blended in linear light, not as trained: {linear}",) if not_trained else ()),
             *prepared.warnings,
             *unsupported,

@@ -291,8 +291,12 @@ def _indirect(view: ViewToPlan, kinds: _Kinds) -> bool:
 
 def _gathers(view: ViewToPlan) -> bool:
     """Whether something that is drawn may receive light that is not of lamps alone."""
-    scene, settings = view.scene, view.request.settings
     drawn = not view.absences.indirect and view.picture and view.reflects
+    return drawn and not view.defocus and sends_light(view.scene, view.request.settings.bounces)
+
+
+def sends_light(scene: Scene, bounces: int) -> bool:
+    """Whether a scene has a world, or what shines or sends light on."""
     emits = bool((scene.materials.emission > 0).any()) or any(
         isinstance(graph, MaterialGraph) and "emission" in graph.channels for graph in scene.materials.graphs
     )
@@ -302,7 +306,7 @@ def _gathers(view: ViewToPlan) -> bool:
     )
     emits = emits or any(one.captured is not None for one in scene.geometries)
     world = scene.world.image is not None or bool(np.any(scene.world.color > 0))
-    return drawn and not view.defocus and (emits or world or (settings.bounces > 0 and bool(scene.lights)))
+    return emits or world or (bounces > 0 and bool(scene.lights))
 
 
 def _mirrors(view: ViewToPlan) -> bool:

@@ -7,10 +7,12 @@ import pytest
 
 from pointsplat_addon.core.lod.cost import DEFAULT
 from pointsplat_addon.core.scene.camera import Aperture
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.device.clock import Cancelled, Clock
-from pointsplat_addon.render.plan.frame_plan import FramePlan, make_frame_plan
+from pointsplat_addon.render.plan.frame_plan import UNLIT_OUT_OF_FOCUS, FramePlan, make_frame_plan
 from pointsplat_addon.render.plan.request import Request
+from scripts.scenes import indirect_cases
 from scripts.scenes.case import ALL_PASSES, Case
 from scripts.scenes.cases import CASES
 from scripts.scenes.store import STORE
@@ -70,3 +72,22 @@ def test_a_cancelled_frame_is_not_planned():
     case = CASES["mixed"]()
     with pytest.raises(Cancelled):
         planned(case, case.request(), Clock(NullDevice(), cancelled=lambda: True))
+
+
+def test_depth_of_field_that_leaves_indirect_light_out_says_so():
+    """Lens Samples have it; what is in focus has it, and without light there is none to miss."""
+    case = indirect_cases.in_a_corner()
+    blurred = replace(case.camera, aperture=Aperture(0.3, 1.0))
+
+    def told(camera=blurred, scene=case.scene, **settings) -> bool:
+        request = replace(case.request(COMBINED, 16), camera=camera, settings=replace(case.settings, **settings))
+        found = planned(replace(case, scene=scene), request)
+        assert (UNLIT_OUT_OF_FOCUS in found.warnings) == (
+            found.prepared.out_of_focus is not None and bool(scene.lights)
+        )
+        return UNLIT_OUT_OF_FOCUS in found.warnings
+
+    assert told()
+    assert not told(case.camera)
+    assert not told(dof_method="LENS_SAMPLES")
+    assert not told(scene=replace(case.scene, lights=(), world=World()))
