@@ -101,10 +101,8 @@ class Renderer:
                 if not frame.complete:
                     frame.clock.check()
             pixels = frame.pixels()
-            light_found = frame.indirect
-            if request.moment[1] > 1 and known is None and light_found is not None and light_found.tells:
-                if not frame.frame_plan.plan.mirrors:  # estimates blur what these show
-                    self._of_moment = KnownLight(self, scene, request.settings, light_found)
+            if request.moment[1] > 1 and known is None:
+                self._keep_light(scene, frame)
             if watch is not None:
                 watch.finished()
             result = Result(pixels, report(frame, time.perf_counter() - started), drawn=frame.drawn)
@@ -171,6 +169,12 @@ class Renderer:
         frame = Frame(self, scene, request, presented=True, slices=slices, known=known)
         frame.clock.slow = False
         return frame
+
+    def _keep_light(self, scene: Scene, frame: Frame) -> None:
+        """Keeps the indirect light of a frame for further moments of its picture."""
+        found, plan = frame.indirect, frame.frame_plan
+        if found is not None and found.tells and not plan.plan.mirrors:  # estimates blur what these show
+            self._of_moment = KnownLight(self, scene, plan.request.settings, found)
 
     def _forget_light(self) -> None:
         if self._of_moment is not None:

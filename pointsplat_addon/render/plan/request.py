@@ -31,7 +31,7 @@ class Request:
     part: tuple[int, int] = (0, 1)
     # (k, n): of a picture of n samples, each at a moment of its own, the k-th alone is drawn, from 0; `samples` is n.
     moment: tuple[int, int] = (0, 1)
-    # Of a picture of moments: indirect light is estimated from what the latest picture of one without this has gathered.
+    # Of a picture of moments: indirect light is estimated from what the latest moment without this has gathered.
     known_light: bool = False
     term: Term | None = None  # Combined is this term of the light alone; None: all of it
 
