@@ -30,6 +30,8 @@ from .density import Density, Spacing
 
 TYPICAL_COSINE = 0.6  # of directions in which surfels are seen
 FEWEST_IN_FOLIAGE = 2000  # triangles: with fewer, open edges are those of floors and walls
+DEFAULT_RADIUS = 0.01  # of points without one, as in Blender
+BLOCK = 1 << 18  # points of a cloud whose places are known at once: scans would double in memory
 MANY_INSTANCES = 16  # of a geometry, from which on they share samples
 
 
@@ -188,23 +190,35 @@ def _with_look(mesh: Mesh, table: MaterialTable, made: LightSamples, kind: tuple
 
 def _of_cloud(cloud: PointCloud, table: MaterialTable, matrix: np.ndarray, spacing: Spacing) -> Surfels:
     """The surfels of a cloud of balls or disks; of dense ones some stand for all."""
-    radii = np.full((len(cloud), 1), 0.01, np.float32) if cloud.radii is None else cloud.radii
-    position = cloud.position.astype(np.float64) + cloud.origin
-    place = position @ matrix[:3, :3].T + matrix[:3, 3]
     flat = cloud.normal is not None and bool(cloud.normal.any())
-    area = np.pi * radii[:, 0].astype(np.float64) * radii[:, -1] * (1.0 if flat else 4.0)
-    apart, _ = spacing(place.T)
-    worth = np.minimum(area / (1.0 if flat else 4.0) * (_scale(matrix) / apart) ** 2, 1.0)
+    sides, scale = 1.0 if flat else 4.0, float(_scale(matrix))
+
+    def positions(rows: slice | np.ndarray) -> np.ndarray:
+        return cloud.position[rows].astype(np.float64) + cloud.origin
+
+    def areas(rows: slice | np.ndarray) -> np.ndarray:
+        if cloud.radii is None:
+            return np.full(len(cloud.position[rows]), sides * np.pi * DEFAULT_RADIUS**2)
+        radii = cloud.radii[rows]
+        return sides * np.pi * radii[:, 0].astype(np.float64) * radii[:, -1]
+
+    worth, total = np.empty(len(cloud)), 0.0
+    for begin in range(0, len(cloud), BLOCK):
+        block = slice(begin, begin + BLOCK)
+        area = areas(block)
+        apart, _ = spacing((positions(block) @ matrix[:3, :3].T + matrix[:3, 3]).T)
+        worth[block] = np.minimum(area / sides * (scale / apart) ** 2, 1.0)
+        total += float(area.sum())
     ends = np.cumsum(worth)
     count = max(round(float(ends[-1])), 1)
     rows = np.minimum(np.searchsorted(ends, (np.arange(count) + 0.5) * ends[-1] / count), len(cloud) - 1)
     thinned = cloud.take(rows)
     albedo, emission = _look_of(thinned, table)
     normal = np.zeros((count, 3), np.float32) if thinned.normal is None else thinned.normal
-    stands_for = area[rows] / worth[rows]
-    stands_for *= area.sum() / stands_for.sum()
+    stands_for = areas(rows) / worth[rows]
+    stands_for *= total / stands_for.sum()
     local = Surfels(
-        np.zeros(3), position[rows].astype(np.float32), normal, stands_for.astype(np.float32),
+        np.zeros(3), positions(rows).astype(np.float32), normal, stands_for.astype(np.float32),
         np.full(count, not flat), np.zeros(count, bool), albedo, emission, np.zeros((count, 3), np.float32),
         np.zeros(count, bool),
     )  # fmt: skip
