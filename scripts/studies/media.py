@@ -78,6 +78,7 @@ def studio(size: int) -> bpy.types.Scene:
     cycles.use_adaptive_sampling = cycles.use_denoising = False
     cycles.pixel_filter_type = "BOX"
     cycles.filter_width = 1.0
+    scene.pointsplat.use_indirect = False
     return scene
 
 
@@ -177,7 +178,7 @@ def draw(scene: bpy.types.Scene, folder: Path, engine: str, samples: int) -> np.
     scene.render.engine = engine
     scene.cycles.samples = samples
     if engine == "POINTSPLAT":
-        scene.pointsplat.samples, scene.pointsplat.use_indirect = samples, False
+        scene.pointsplat.samples = samples
     scene.render.filepath = str(folder / "frame.exr")
     bpy.ops.render.render(write_still=True)
     image = bpy.data.images.load(scene.render.filepath)

@@ -80,7 +80,9 @@ def test_settings_survive_saving_and_loading(tmp_path):
     bpy.ops.wm.read_factory_settings(use_empty=True)
     assert bpy.context.scene.pointsplat.tolerance == 1
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
-    assert bpy.context.scene.pointsplat.settings() == Settings(tolerance=2.5, device="OPENGL", use_shadows=False)
+    assert bpy.context.scene.pointsplat.settings() == Settings(
+        tolerance=2.5, device="OPENGL", use_shadows=False, **Settings.IN_BLENDER
+    )
 
 
 def test_registering_twice_and_in_cycles_leaves_nothing_behind():

@@ -119,7 +119,7 @@ class GroupsInIndirectLight:
         listed = device.texture(size, "RG32F", data)
         lists = _Lists(device, size, False, (paged(place, 4)[1], paged(up, 4)[1]))
         try:
-            self._receive(view, lists, listed, groups, place, up, to_eye)
+            self._receive(view, lists, listed, groups, place, up, to_eye, share=False)
             draw(lists.received)
         finally:
             listed.release()
@@ -158,14 +158,16 @@ class GroupsInIndirectLight:
         place: np.ndarray,
         up: np.ndarray,
         to_eye: np.ndarray,
+        share: bool = True,
     ) -> None:
-        """Gathers for groups at places with normals (N, 4), as `gather` has them, seen from directions (N, 3)."""
+        """Gathers for groups at places with normals (N, 4), as `gather` has them, seen from directions (N, 3). `share`:
+        what is turned all ways in a cell shares a gather; by way of mirrors cells are too wide for it."""
         chosen = choose_receivers(groups, view, TILE, FEWEST_IN_TILE, True)
-        found = self._found(view, groups, to_eye, up, chosen)
+        found = self._found(view, groups, to_eye, up, chosen, share)
         self._interpolate(view, lists, listed, chosen, found, place, up)
 
     def _found(
-        self, view: SampleView, groups: Groups, to_eye: np.ndarray, up: np.ndarray, chosen: Receivers
+        self, view: SampleView, groups: Groups, to_eye: np.ndarray, up: np.ndarray, chosen: Receivers, share: bool
     ) -> np.ndarray:
         """(R, 8): what receivers have gathered, or interpolated from others that are farther apart and see alike."""
         if self._slices is None:
@@ -173,7 +175,7 @@ class GroupsInIndirectLight:
         sole = sole_groups(groups, view)
         known = Known(groups.position.astype(np.float32), groups.normal)
         rim = (up[:, 3] >= 0) & ((up[:, :3] * to_eye).sum(axis=1) < RIM)
-        scattered = scattered_cells(groups, chosen)
+        scattered = scattered_cells(groups, chosen if share else chosen.none)
         for side in SIDES:
             fewest = side * side // FEWEST_SHARE
             wanted = chosen if side == TILE else choose_receivers(groups, view, side, fewest, False)

@@ -31,6 +31,11 @@ class Receivers:
     level: np.ndarray  # (R,) float64: binary logarithm of their cells' edges
     tiles: np.ndarray  # (rows, columns, 2) float32: the first receiver of each tile, and how many it has
 
+    @property
+    def none(self) -> Receivers:
+        """None of them."""
+        return Receivers(self.rows[:0], self.pixels[:0], self.level[:0], np.zeros_like(self.tiles))
+
 
 @record
 class Groups:

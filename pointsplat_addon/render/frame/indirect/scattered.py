@@ -11,6 +11,7 @@ from .receivers import TURNS, Groups, Receivers
 
 WIDER = 1  # levels above those of the finest receivers
 FEWEST, WAYS = 6, 5  # receivers in a cell, and ways that these are turned, from which on it counts
+CROWDED = 2.0  # receivers in each cell of these, on average, from which on it does: few lie in those of smooth surfaces
 STEPS = 4  # of places along the edge of a cell at which is gathered
 LIFT = 0.25  # edges that these lie above the mean of what is seen: else what is next to it would hide half
 CORNERS = np.stack(np.meshgrid((0, 1), (0, 1), (0, 1), indexing="ij"), axis=-1).reshape(-1, 3)
@@ -57,7 +58,10 @@ def scattered_cells(groups: Groups, chosen: Receivers) -> Scattered:
     unique, first, own, count = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
     turned = np.clip(np.floor((normal * 0.999 + 1) * TURNS), 0, 2 * TURNS - 1) @ (2 * TURNS) ** np.arange(3)
     ways = np.unique(own * (2 * TURNS) ** 3 + turned.astype(np.int64)) // (2 * TURNS) ** 3
-    rows = np.flatnonzero((count >= FEWEST) & (np.bincount(ways, minlength=len(unique)) >= WAYS))
+    finest = hashed(np.column_stack([chosen.level, cells(position, chosen.level)[0]]))
+    fine = own[np.unique(finest, return_index=True)[1]]
+    crowded = count >= np.maximum(CROWDED * np.bincount(fine, minlength=len(unique)), FEWEST)
+    rows = np.flatnonzero(crowded & (np.bincount(ways, minlength=len(unique)) >= WAYS))
     mean, up = (
         np.stack([np.bincount(own, column, len(unique))[rows] / count[rows] for column in of.T], axis=1)
         for of in (position.astype(np.float64), normal)
