@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import bpy
@@ -14,6 +14,7 @@ import pointsplat_addon
 from pointsplat_addon.core.scene.settings import PRIMITIVES, Settings
 
 ROOT = Path(__file__).resolve().parents[2]
+IN_NEW_SCENES = replace(Settings(), **Settings.IN_BLENDER)
 
 
 @pytest.fixture
@@ -39,7 +40,7 @@ def test_every_setting_is_a_property_with_its_default_and_range():
             assert found.hard_min == pytest.approx(low, rel=1e-7)  # float32
             assert found.hard_max == high
         assert found.default == Settings.IN_BLENDER.get(field.name, field.default)
-    assert bpy.context.scene.pointsplat.settings() == Settings(**Settings.IN_BLENDER)
+    assert bpy.context.scene.pointsplat.settings() == IN_NEW_SCENES
 
 
 @pytest.mark.usefixtures("registered")
@@ -47,7 +48,7 @@ def test_the_pixel_filter_is_blenders():
     render = bpy.context.scene.render
     for given, taken in ((0.0, 0.01), (0.75, 0.75), (500.0, 10.0)):
         render.filter_size = given
-        assert bpy.context.scene.pointsplat.settings() == Settings(filter_size=taken, **Settings.IN_BLENDER)
+        assert bpy.context.scene.pointsplat.settings() == replace(IN_NEW_SCENES, filter_size=taken)
 
 
 @pytest.mark.usefixtures("registered")
@@ -80,8 +81,8 @@ def test_settings_survive_saving_and_loading(tmp_path):
     bpy.ops.wm.read_factory_settings(use_empty=True)
     assert bpy.context.scene.pointsplat.tolerance == 1
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
-    assert bpy.context.scene.pointsplat.settings() == Settings(
-        tolerance=2.5, device="OPENGL", use_shadows=False, **Settings.IN_BLENDER
+    assert bpy.context.scene.pointsplat.settings() == replace(
+        IN_NEW_SCENES, tolerance=2.5, device="OPENGL", use_shadows=False
     )
 
 
