@@ -172,6 +172,7 @@ class Renderer:
 
     def _keep_light(self, scene: Scene, frame: Frame) -> None:
         """Keeps the indirect light of a frame for further moments of its picture."""
+        self._forget_light()
         found, plan = frame.indirect, frame.frame_plan
         if found is not None and found.tells and not plan.plan.mirrors:  # estimates blur what these show
             self._of_moment = KnownLight(self, scene, plan.request.settings, found)
