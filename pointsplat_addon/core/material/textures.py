@@ -110,8 +110,9 @@ def sample_roughly(
     uv: np.ndarray,
     footprint: np.ndarray,
 ) -> np.ndarray:
-    """Samples a texture once for each footprint, of the level whose bilinear samples are about as wide: long footprints are taken
-    for round ones of their area. `sample` is also told how levels are interpolated."""
+    """Samples a texture once for each footprint, of the level whose bilinear samples are about as wide.
+
+    Long footprints are taken for round ones of their area. `sample` is also told how levels are interpolated."""
     x, y = np.nan_to_num(np.clip(footprint, -0.5, 0.5)).transpose(2, 0, 1) * (
         SPREAD * np.asarray(size, np.float64)[:, None, None]
     )
