@@ -31,6 +31,7 @@ SIDES = 4 * TILE, 2 * TILE, TILE  # of squares of pixels that have receivers, on
 FEWEST_IN_TILE = 3  # groups of a surface in a square, from which on it has a receiver there beside that of the largest
 FEWEST_SHARE = 16  # a surface has a receiver in wider squares if it fills one in so many pixels; tilted ones fill few
 RIM = 0.4  # cosine to the eye below which what mirrors gathers, as that changes fast there
+SHARPER = 3.0  # than which a lobe is that does; wider ones, as of grass, change as slowly as what falls on a surface
 MIRRORS, ROUGHNESSES = 48, 64  # steps of mirrored views, each way of an octahedron, and of roughness
 NOT_KNOWN = (None, None)
 SHARPEST = 24.0  # of a glossy lobe that the cells of a hemisphere resolve
@@ -174,7 +175,7 @@ class GroupsInIndirectLight:
             return self._estimated(groups, up, chosen)
         sole = sole_groups(groups, view)
         known = Known(groups.position.astype(np.float32), groups.normal)
-        rim = (up[:, 3] >= 0) & ((up[:, :3] * to_eye).sum(axis=1) < RIM)
+        rim = (up[:, 3] >= 0) & ((up[:, :3] * to_eye).sum(axis=1) < RIM) & (lobe_sharpness(up[:, 3]) > SHARPER)
         scattered = scattered_cells(groups, chosen if share else chosen.none)
         for side in SIDES:
             fewest = side * side // FEWEST_SHARE
