@@ -30,14 +30,16 @@ class Surfels:
     # (N,) bool: it stands for captured splats (core/indirect/captured.py), on which light falls only where they scatter
     # some; None: none does
     captured: np.ndarray | None = None
+    # (N,) float32: how far above it, on both sides, light falls on what it stands for; None: on itself
+    raised: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.area)
 
     def take(self, rows: np.ndarray) -> Surfels:
         """Returns the surfels `rows`, in their order."""
-        captured = None if self.captured is None else self.captured[rows]
-        return Surfels(self.origin, *(getattr(self, name)[rows] for name in ARRAYS), captured=captured)
+        captured, raised = (None if of is None else of[rows] for of in (self.captured, self.raised))
+        return Surfels(self.origin, *(getattr(self, name)[rows] for name in ARRAYS), captured=captured, raised=raised)
 
     @property
     def receiving(self) -> np.ndarray:
@@ -50,9 +52,14 @@ class Surfels:
 def joined(parts: Sequence[Surfels]) -> Surfels:
     """Returns all surfels of at least one part; they have one origin."""
     arrays = (np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS)
-    captured = None
-    if any(part.captured is not None for part in parts):
-        captured = np.concatenate(
-            [np.zeros(len(part), bool) if part.captured is None else part.captured for part in parts]
-        )
-    return Surfels(parts[0].origin, *arrays, captured=captured)
+    captured, raised = _joined(parts, "captured", bool), _joined(parts, "raised", np.float32)
+    return Surfels(parts[0].origin, *arrays, captured=captured, raised=raised)
+
+
+def _joined(parts: Sequence[Surfels], name: str, dtype: type) -> np.ndarray | None:
+    """An array of all parts, zero for those that have none; None: no part has."""
+    if all(getattr(part, name) is None for part in parts):
+        return None
+    return np.concatenate(
+        [np.zeros(len(part), dtype) if getattr(part, name) is None else getattr(part, name) for part in parts]
+    )

@@ -407,8 +407,10 @@ def sides(surfels: Surfels) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.nd
     flat = surfels.normal.any(axis=1)
     for side, rows in ((0, np.flatnonzero(flat)), (1, np.flatnonzero(flat & ~surfels.closed))):
         if len(rows):
-            normal = surfels.normal[rows] * np.float32(1 - 2 * side)
-            yield side, rows, surfels.position[rows] + LIFTED * radius[rows] * normal, normal, 1.0
+            normal, lift = surfels.normal[rows] * np.float32(1 - 2 * side), LIFTED * radius[rows]
+            if surfels.raised is not None:
+                lift = np.maximum(lift, surfels.raised[rows, None])
+            yield side, rows, surfels.position[rows] + lift * normal, normal, 1.0
     rows = np.flatnonzero(~flat)
     for corner in TETRAHEDRON if len(rows) else ():
         normal = np.broadcast_to(corner, (len(rows), 3))

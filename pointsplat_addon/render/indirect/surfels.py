@@ -10,6 +10,7 @@ import numpy as np
 from ...core.indirect.captured import captured_surfels
 from ...core.indirect.closed import is_closed
 from ...core.indirect.sampling import LightSamples, light_samples
+from ...core.indirect.sheets import WIDE, Sheets, sheets
 from ...core.indirect.surfels import Surfels, joined
 from ...core.light.bsdf import relative_index, sample_reflectance_table
 from ...core.lod.foliage import is_foliage
@@ -32,6 +33,7 @@ TYPICAL_COSINE = 0.6  # of directions in which surfels are seen
 FEWEST_IN_FOLIAGE = 2000  # triangles: with fewer, open edges are those of floors and walls
 DEFAULT_RADIUS = 0.01  # of points without one, as in Blender
 BLOCK = 1 << 18  # points of a cloud whose places are known at once: scans would double in memory
+MOST_IN_SHEETS = 1 << 20  # balls of a cloud by which its sheets are found
 MANY_INSTANCES = 16  # of a geometry, from which on they share samples
 
 
@@ -116,7 +118,8 @@ def _surfels(
         return _of_instances(mesh, table, matrices, density.apart[rows], kind)
     if geometry.cloud is not None and len(geometry.cloud) and not is_translucent(geometry, table):
         cloud = geometry.cloud
-        return [_of_cloud(cloud, table, one, at) for one, at in zip(matrices, spacings, strict=True)]
+        each = zip(matrices, spacings, strict=True)
+        return [part for one, at in each for part in _of_cloud(cloud, table, one, at)]
     if geometry.strands is not None and len(geometry.strands):
         strands = geometry.strands
         return [_of_strands(strands, table, one, at) for one, at in zip(matrices, spacings, strict=True)]
@@ -188,13 +191,16 @@ def _with_look(mesh: Mesh, table: MaterialTable, made: LightSamples, kind: tuple
     return surfels if look.alpha is None else surfels.take(np.flatnonzero(look.alpha >= CLIP))
 
 
-def _of_cloud(cloud: PointCloud, table: MaterialTable, matrix: np.ndarray, spacing: Spacing) -> Surfels:
-    """The surfels of a cloud of balls or disks; of dense ones some stand for all."""
+def _of_cloud(cloud: PointCloud, table: MaterialTable, matrix: np.ndarray, spacing: Spacing) -> list[Surfels]:
+    """The surfels of a cloud of balls or disks; of dense ones some stand for all, and flat ones for sheets of balls."""
     flat = cloud.normal is not None and bool(cloud.normal.any())
     sides, scale = 1.0 if flat else 4.0, float(_scale(matrix))
 
     def positions(rows: slice | np.ndarray) -> np.ndarray:
         return cloud.position[rows].astype(np.float64) + cloud.origin
+
+    def in_world(rows: slice | np.ndarray) -> np.ndarray:
+        return positions(rows) @ matrix[:3, :3].T + matrix[:3, 3]
 
     def areas(rows: slice | np.ndarray) -> np.ndarray:
         if cloud.radii is None:
@@ -206,23 +212,49 @@ def _of_cloud(cloud: PointCloud, table: MaterialTable, matrix: np.ndarray, spaci
     for begin in range(0, len(cloud), BLOCK):
         block = slice(begin, begin + BLOCK)
         area = areas(block)
-        apart, _ = spacing((positions(block) @ matrix[:3, :3].T + matrix[:3, 3]).T)
+        apart, _ = spacing(in_world(block).T)
         worth[block] = np.minimum(area / sides * (scale / apart) ** 2, 1.0)
         total += float(area.sum())
     ends = np.cumsum(worth)
     count = max(round(float(ends[-1])), 1)
     rows = np.minimum(np.searchsorted(ends, (np.arange(count) + 0.5) * ends[-1] / count), len(cloud) - 1)
-    thinned = cloud.take(rows)
-    albedo, emission = _look_of(thinned, table)
-    normal = np.zeros((count, 3), np.float32) if thinned.normal is None else thinned.normal
     stands_for = areas(rows) / worth[rows]
     stands_for *= total / stands_for.sum()
+    parts = []
+    if not flat:
+
+        def cells(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            place, picture = in_world(rows), areas(rows) / sides * scale**2
+            apart = np.maximum(spacing(place.T)[0], WIDE * np.sqrt(picture / np.pi))
+            return place, picture, apart
+
+        some = np.arange(0, len(cloud), -(-len(cloud) // MOST_IN_SHEETS))
+        place, picture, apart = cells(some)
+        look = np.column_stack(_look_of(cloud.take(some), table))
+        made = sheets(place, picture * (len(cloud) / len(some)), look, apart)
+        parts.append(_of_sheets(made))
+        place, _, apart = cells(rows)
+        share = made.shares(place, apart)
+        rows, stands_for = rows[share > 0], (stands_for * share)[share > 0]
+    thinned = cloud.take(rows)
+    albedo, emission = _look_of(thinned, table)
+    no = np.zeros(len(rows), bool)
+    normal = np.zeros((len(rows), 3), np.float32) if thinned.normal is None else thinned.normal
     local = Surfels(
         np.zeros(3), positions(rows).astype(np.float32), normal, stands_for.astype(np.float32),
-        np.full(count, not flat), np.zeros(count, bool), albedo, emission, np.zeros((count, 3), np.float32),
-        np.zeros(count, bool),
+        np.full(len(rows), not flat), no, albedo, emission, np.zeros((len(rows), 3), np.float32), no,
     )  # fmt: skip
-    return _moved(local, matrix[None])
+    return [*parts, _moved(local, matrix[None])]
+
+
+def _of_sheets(made: Sheets) -> Surfels:
+    """The surfels of sheets of balls, in world space."""
+    f, count = np.float32, len(made.area)
+    no, look = np.zeros(count, bool), made.look.astype(f)
+    return Surfels(
+        np.zeros(3), made.position.astype(f), made.normal.astype(f), made.area.astype(f), no, no, look[:, :3],
+        look[:, 3:], np.zeros((count, 3), f), no, raised=made.height.astype(f),
+    )  # fmt: skip
 
 
 def _of_strands(strands: Strands, table: MaterialTable, matrix: np.ndarray, spacing: Spacing) -> Surfels:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from pointsplat_addon.core.indirect.sheets import sheets
 from pointsplat_addon.core.indirect.surfels import Surfels, joined
 from pointsplat_addon.core.indirect.tree import build_tree
 from pointsplat_addon.core.light.light_table import light_texture
@@ -41,12 +42,14 @@ def gathered(
     normal: np.ndarray,
     sky: float = 0.0,
     coarseness: float = 1.0,
+    inside: float = 1.0,
 ) -> np.ndarray:
-    """(N,): irradiance over pi at places with normals (N, 3); radiance: of surfels, (n,), the same on both sides."""
+    """(N,): irradiance over pi at places with normals (N, 3); radiance: of surfels, (n,), and of their other sides
+    `inside` times as much."""
     device = drawing.opengl().device
     tree = build_tree(surfels)
     sides = np.repeat(radiance[:, None], 3, axis=1)
-    nodes = paged_texture(device, node_rows(tree, tree.radiance(surfels, sides, sides)), NODE_WIDTH)
+    nodes = paged_texture(device, node_rows(tree, tree.radiance(surfels, sides, inside * sides)), NODE_WIDTH)
     rows = light_texture((), World(np.full(3, sky)), np.eye(4))
     lights = device.texture((rows.shape[1], rows.shape[0]), "RGBA32F", rows.reshape(-1))
     normal = np.broadcast_to(normal, position.shape)
@@ -147,6 +150,28 @@ def test_a_thin_wall_keeps_light_apart():
     radiance = np.repeat([0.0, 1.0], cells**2)
     place = np.stack([np.linspace(-1, 1 - 2 / cells, 100), np.full(100, 0.1), np.full(100, -1.0)], axis=1)
     assert gathered(surfels, radiance, place, UP).max() < 0.005
+
+
+def test_a_room_of_balls_keeps_light_apart():
+    """Walls of balls at random, six over each other, that are bright outside alone, under a sky. Of both, 2
+    together, comes in: 0.0068 on average and 0.040 next to edges; between balls themselves 0.0025 of the sky."""
+    radius, rng = 0.03, np.random.default_rng(4)
+    count = round(6 * 4 / (np.pi * radius**2))
+    walls = []
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            place = rng.uniform(-1, 1, (count, 3))
+            place[:, axis] = side
+            walls.append(place)
+    place, f = np.concatenate(walls), np.float32
+    pictures, apart = np.full(len(place), np.pi * radius**2), np.full(len(place), 4 * radius)
+    made = sheets(place, pictures, np.zeros((len(place), 6)), apart)
+    assert (made.shares(place, apart) == 0).mean() > 0.99
+    surfels = surfels_of(made.position.astype(f), made.normal.astype(f), made.area.astype(f))
+    _, at = along(300, 0.9)
+    found = gathered(surfels, np.ones(len(surfels)), at - UP * 0.95, UP, 1.0, inside=0.0)
+    assert found.max() < 0.05
+    assert found.mean() < 0.01
 
 
 def test_radiance_is_packed_to_a_few_thousandths():
