@@ -146,7 +146,7 @@ def _planes(of: np.ndarray) -> _Planes:
     # The determinant of the covariance of a few balls is less, in the mean, than that of the sheet.
     few = count / np.sqrt(np.maximum((count - 1) * (count - 2), 1))
     patch = EVEN * few * np.sqrt(values[:, 1] * values[:, 2])
-    dense = whole / np.maximum(patch, 1e-300)
+    dense = whole / np.maximum(patch, 1e-12 * whole)
     flat = several & (values[:, 0] < THIN * values[:, 1]) & (dense > DENSE)
     # Knud Thomsen's approximation to the surface of an ellipsoid, of which a quarter is its mean picture (Cauchy).
     squared = whole / (np.pi * count)  # radius
