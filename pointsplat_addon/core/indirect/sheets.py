@@ -55,14 +55,14 @@ class _Planes:
     share: np.ndarray  # (C,) float64: how much of the balls fills their picture, where they are not flat; 1 at most
 
 
-def sheets(position: np.ndarray, area: np.ndarray, look: np.ndarray, apart: np.ndarray) -> Sheets:
-    """Returns the sheets among N > 0 balls at places (N, 3) float64.
+def sheets(position: np.ndarray, area: np.ndarray, look: np.ndarray, apart: np.ndarray, each: float = 1.0) -> Sheets:
+    """Returns the sheets among N > 0 balls at places (N, 3) float64, each of which stands for so many.
 
-    area (N,): of the pictures of what they stand for. look (N, 6): albedo and emission. apart (N,): as wide as cells
+    area (N,): of their pictures. look (N, 6): albedo and emission. apart (N,): as wide as cells
     are about; at least WIDE radii.
     """
-    key, cell, of = _sums(position, area, look, apart)
-    planes = _planes(of)
+    key, cell, of = _sums(position, area * each, look, apart)
+    planes = _planes(of, each)
     # What is cut off by the borders of cells, and too little to have a plane by itself, is on that of a wider one.
     wider = np.column_stack([cell[:, 0] + 1, np.floor(cell[:, 1:] / 2)])
     moved, off = of.copy(), (_corners(cell) - (2 * wider[:, 1:] - SHIFT) * np.exp2(cell[:, :1])).T
@@ -73,7 +73,7 @@ def sheets(position: np.ndarray, area: np.ndarray, look: np.ndarray, apart: np.n
     whole_key, _, whole = _together(wide_key, wider, moved)
     rising = np.argsort(whole_key)
     own = rising[np.searchsorted(whole_key, wide_key, sorter=rising)]
-    by_wider = _planes(whole)
+    by_wider = _planes(whole, each)
     lent = ~planes.flat & by_wider.flat[own] & np.isfinite(of).all(axis=0)
     part = of[WHOLE] / np.maximum(whole[WHOLE][own], 1e-300)
     normal = np.where(lent[:, None], by_wider.normal[own], planes.normal)
@@ -132,8 +132,8 @@ def _together(key: np.ndarray, cell: np.ndarray, of: np.ndarray) -> tuple[np.nda
     return key[rows], cell[rows], np.add.reduceat(of[:, order], first, axis=1).take(by_first, axis=1)
 
 
-def _planes(of: np.ndarray) -> _Planes:
-    """By sums (COLUMNS, C)."""
+def _planes(of: np.ndarray, each: float) -> _Planes:
+    """By sums (COLUMNS, C). `each`: balls that one stands for."""
     sound = np.isfinite(of).all(axis=0) & (of[WHOLE] > 0)
     of = np.where(sound, of, 1.0)
     count, whole = of[COUNT], of[WHOLE]
@@ -149,7 +149,7 @@ def _planes(of: np.ndarray) -> _Planes:
     dense = whole / np.maximum(patch, 1e-12 * whole)
     flat = several & (values[:, 0] < THIN * values[:, 1]) & (dense > DENSE)
     # Knud Thomsen's approximation to the surface of an ellipsoid, of which a quarter is its mean picture (Cauchy).
-    squared = whole / (np.pi * count)  # radius
+    squared = whole / (np.pi * each * count)  # radius
     axes = values + 0.25 * squared[:, None]
     faces = [np.sqrt(axes[:, k] * axes[:, (k + 1) % 3]) for k in range(3)]
     picture = EVEN * (sum(face**KNUD_THOMSEN for face in faces) / 3) ** (1 / KNUD_THOMSEN)

@@ -33,7 +33,7 @@ TYPICAL_COSINE = 0.6  # of directions in which surfels are seen
 FEWEST_IN_FOLIAGE = 2000  # triangles: with fewer, open edges are those of floors and walls
 DEFAULT_RADIUS = 0.01  # of points without one, as in Blender
 BLOCK = 1 << 18  # points of a cloud whose places are known at once: scans would double in memory
-MOST_IN_SHEETS = 1 << 20  # balls of a cloud by which its sheets are found
+MOST_IN_SHEETS = 1 << 18  # balls of a cloud by which its sheets are found
 MANY_INSTANCES = 16  # of a geometry, from which on they share samples
 
 
@@ -231,7 +231,7 @@ def _of_cloud(cloud: PointCloud, table: MaterialTable, matrix: np.ndarray, spaci
         some = np.arange(0, len(cloud), -(-len(cloud) // MOST_IN_SHEETS))
         place, picture, apart = cells(some)
         look = np.column_stack(_look_of(cloud.take(some), table))
-        made = sheets(place, picture * (len(cloud) / len(some)), look, apart)
+        made = sheets(place, picture, look, apart, len(cloud) / len(some))
         parts.append(_of_sheets(made))
         place, _, apart = cells(rows)
         share = made.shares(place, apart)

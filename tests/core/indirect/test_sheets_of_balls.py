@@ -63,6 +63,15 @@ def test_balls_that_lie_apart_or_in_space_are_in_no_sheet():
     assert (sheets_of(few, 0.08).shares(few, np.full(500, 0.08)) == 1).all()
 
 
+def test_some_balls_stand_for_all():
+    """Every third of three times as many: the same heights, and 3.0 % less of the area."""
+    position = square(18.0)[::3]
+    count = len(position)
+    made = sheets(position, np.full(count, np.pi * RADIUS**2), np.zeros((count, 6)), np.full(count, 0.08), 3.0)
+    np.testing.assert_allclose(made.height, RADIUS, rtol=1e-6)
+    assert abs(made.area.sum() - 1) < 0.04
+
+
 def test_what_is_no_number_is_in_no_sheet():
     position = square(6.0)
     position[::10] = np.nan
