@@ -571,6 +571,9 @@ void main()
       // What is open of a cell that is covered in part is where it is not: on the other side of its middle.
       float left_weight = left > 1e-3 ? clamp(weight - ps_weight[i] * scale, 0.0, weight) : 0.0;
       whole += weight;
+#ifdef PS_OCCLUSION
+      sum.nearness += left_weight / u.within;  // as far away begins what does not count
+#endif
 #ifdef PS_GLOSSY
       float of_lobe = angle * ps_lobe(direction, lobe);
       whole_lobe += of_lobe;

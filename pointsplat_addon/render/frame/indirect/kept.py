@@ -32,7 +32,7 @@ from .mirrors import TracedScene
 
 FORM = form_of_records(BakedLight, BakedMedia)
 WHITE = ("PS_HAS_WORLD",)
-FARTHEST = 1e30  # whose square a float32 does not hold, nor is it asked for
+NEAREST, FARTHEST = 1e-30, 1e30  # of what occludes: their inverses are floats, too
 
 
 def kept_light(
@@ -100,13 +100,15 @@ def kept_light(
 
 def _in_white_world(scene: Scene) -> Scene:
     """The scene, in which what casts shadows hides an even world that is 1, and nothing else shines."""
-    instances = replace(scene.instances, scatters=scene.instances.casts)
-    return replace(scene, instances=instances, world=World(np.ones(3)), lights=())
+    instances, table = replace(scene.instances, scatters=scene.instances.casts), scene.materials
+    if table.glass is not None and table.translucent is not None:
+        table = replace(table, translucent=table.translucent & ~table.glass)  # it bends light, but casts shadows
+    return replace(scene, instances=instances, materials=table, world=World(np.ones(3)), lights=())
 
 
 def _finite(distance: float) -> float:
     """The distance, for the device; one that is no number is as good as none."""
-    return FARTHEST if np.isnan(distance) else min(max(float(distance), 0.0), FARTHEST)
+    return FARTHEST if np.isnan(distance) else min(max(float(distance), NEAREST), FARTHEST)
 
 
 def scene_content(scene: Scene, store: Store) -> tuple:
