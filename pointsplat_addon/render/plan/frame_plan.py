@@ -266,7 +266,7 @@ def make_frame_plan(
     lacks_indirect = request.settings.use_indirect and picture and reflects and prepared.out_of_focus is not None
     occlusion = request.term is not None and request.term.light == OCCLUSION
     lacks_indirect = lacks_indirect and sends_light(scene, request.settings.bounces) and not occlusion
-    open_everywhere = absences.indirect or "depth of field by Splat has none, Lens Samples have it"
+    open_everywhere = absences.indirect or "something is out of focus"
     lacks_occlusion = occlusion and picture and some and not plan.indirect
     not_trained = settings.captured_blending == "TRAINED" and bool(prepared.captured) and picture and linear
     radius = filter_reach(neighbourhood(request.settings)) if sub_samples else plan.splat_radius(prepared.largest)

@@ -345,7 +345,7 @@ def test_what_differs_between_scenes_is_what_the_feature_needs():
          {("polygons", "ps_baked_surface")}, "PS_SURFACE"),
         ("captured splats", "captured splats, blended as trained", set(), "PS_TRAINED"),
         ("visibility buffer, a cube, passes of light", "visibility buffer, a cube, ambient occlusion",
-         {("gather", "ps_nodes"), ("shade", "ps_gathered_light")}, "PS_OCCLUSION"),
+         {("shade", "ps_gathered_light")}, "PS_TERM_OCCLUSION"),
     )  # fmt: skip
     for plain, more, samplers, define in pairs:
         before, after = found(plain).device, found(more).device
