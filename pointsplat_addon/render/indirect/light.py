@@ -101,11 +101,6 @@ class IndirectLight:
         """Whether it tells how much of the world is open, and no light."""
         return self._within is not None
 
-    @property
-    def empty(self) -> bool:
-        """Whether nothing hides or scatters light."""
-        return self._root < 0 and self.media is None
-
     def gathered(
         self,
         position: np.ndarray,

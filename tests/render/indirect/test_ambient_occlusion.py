@@ -63,8 +63,8 @@ def spread(count: int, half: float) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("ratio", "mean", "worst"),
-    # Found: 0.0058 and 0.0083, 0.0054 and 0.0118, 0.0132 and 0.0175, 0.0127 and 0.0246, 0.0186 and 0.0204. A disk as large
-    # without a bound is off by 0.023 and 0.026 at most: an edge at an even height tells how cells count that it cuts.
+    # Found: 0.0058 and 0.0083, 0.0054 and 0.0118, 0.0132 and 0.0175, 0.0127 and 0.0246, 0.0186 and 0.0204. Disks as
+    # large, without a bound, are off by 0.026 at most: an edge at an even height tells how cells count that it cuts.
     [(1.02, 0.008, 0.01), (1.25, 0.008, 0.015), (2.0, 0.015, 0.02), (3.0, 0.015, 0.028), (5.0, 0.02, 0.024)],
 )
 def test_a_plate_occludes_up_to_a_distance(ratio, mean, worst):

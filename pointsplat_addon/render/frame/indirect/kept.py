@@ -45,8 +45,8 @@ def kept_light(
     store: Store,
     check: Callable[[], None],
     slices: Slices,
-) -> IndirectLight | None:
-    """Returns the indirect light of a scene; None where nothing hides or scatters light.
+) -> IndirectLight:
+    """Returns the indirect light of a scene; where nothing hides or scatters light, all of the sky is open.
 
     Of the term OCCLUSION: how much of the world what casts shadows leaves open. It depends on the camera only as the
     density of surfels does. Raises what `check` raises. Cancelled: `slices` put
@@ -95,7 +95,7 @@ def kept_light(
         return IndirectLight(device, baked, scene.world, world_names(lighting), key, within)
 
     found: IndirectLight = uploads.lookup(key, make)
-    return None if found.empty else found
+    return found
 
 
 def _in_white_world(scene: Scene) -> Scene:
