@@ -259,7 +259,8 @@ def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
     something is drawn."""
     scene = view.scene
     found: tuple[str, ...] = ()
-    if drawn and (view.reflects or scene.world.fog is not None) and view.picture:
+    reflects = view.reflects or scene.world.fog is not None or _occlusion(view.request.term)
+    if drawn and reflects and view.picture:
         table = scene.materials
         coats = () if table.coat is None else table.coat.roughness
         smoothest = 0.0 if varies else float(np.min([table.roughness.min(), *coats]))

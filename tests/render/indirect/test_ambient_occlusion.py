@@ -129,6 +129,17 @@ def test_only_how_things_lie_tells_how_open_they_are():
         "no lamps": with_scene(case, lights=()),
         "a black world": with_scene(case, world=World()),
         "black": with_scene(case, materials=replace(table, base_color=np.zeros_like(table.base_color))),
+        "black emission": with_scene(
+            case,
+            lights=(),
+            world=World(),
+            materials=replace(
+                table,
+                base_color=np.zeros_like(table.base_color),
+                specular=np.zeros_like(table.specular),
+                emission=np.ones_like(table.emission),
+            ),
+        ),
         "emission": with_scene(case, materials=replace(table, emission=np.ones_like(table.emission))),
         "metal": with_scene(case, materials=replace(table, metallic=np.ones_like(table.metallic))),
     }
