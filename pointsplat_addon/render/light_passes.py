@@ -6,7 +6,7 @@ Combined = (DiffDir + DiffInd) DiffCol + (GlossDir + GlossInd) GlossCol + (Trans
 Each is made of pictures of terms of the light (passes/shading/terms.py), which are drawn as Combined is, with the same
 samples, so that the sum is exact. Direct is what has come from a lamp, an emitter or the world without a bounce
 between; Indirect is the rest. Where the film is transparent, Combined has no Env, which is the world all the same, as
-in Cycles.
+in Cycles. Ambient Occlusion is a picture of its own: of the light that a white world would give to each surface.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from ..core.numeric.record import value_record
 from ..core.scene.scene import Scene
-from .passes.shading.terms import DIFFUSE, EMISSION, ENVIRONMENT, GLOSSY, TRANSMISSION, VOLUME, Term
+from .passes.shading.terms import DIFFUSE, EMISSION, ENVIRONMENT, GLOSSY, OCCLUSION, TRANSMISSION, VOLUME, Term
 from .plan.plan import Plan
 
 Draw = Callable[[Term, bool], np.ndarray]  # a term, and whether without light that has bounced: (H, W, 3) float32
@@ -49,11 +49,17 @@ class Light:
 
 
 def light_passes(
-    asked: Set[str], light: Light, combined: np.ndarray, transparent: bool, draw: Draw
+    asked: Set[str],
+    light: Light,
+    combined: np.ndarray,
+    transparent: bool,
+    draw: Draw,
+    within: float = np.inf,
 ) -> dict[str, np.ndarray]:
     """Returns the passes of light that are asked for, (H, W, 3) float32 by key.
 
-    combined: (H, W, 3 or more) float32. `transparent`: the film is. `draw` draws a term; each is drawn once.
+    combined: (H, W, 3 or more) float32. `transparent`: the film is. `draw` draws a term; each is drawn once. `within`:
+    how far away what occludes ambient light may be.
     """
     zeros = np.zeros((*combined.shape[:2], 3), np.float32)
 
@@ -97,6 +103,8 @@ def light_passes(
         found |= {"volume_direct": direct, "volume_indirect": indirect}
     if "environment" in asked:
         found["environment"] = term(ENVIRONMENT)
+    if "ambient_occlusion" in asked:
+        found["ambient_occlusion"] = draw(Term(OCCLUSION, through=not light.transmits, within=within), True)
     if "emission" in asked:
         found["emission"] = combined[..., :3] - term(ENVIRONMENT) if light.trained else term(EMISSION)
     return {key: np.array(picture) for key, picture in found.items() if key in asked}

@@ -24,7 +24,7 @@ from .indirect.known_sites import Slices
 from .indirect.light import IndirectLight
 from .light_passes import Light, light_passes
 from .passes.outputs import OF_LIGHT
-from .passes.shading.terms import ENVIRONMENT, Term
+from .passes.shading.terms import ENVIRONMENT, OCCLUSION, Term
 from .plan.request import Request, Result
 
 SLOW_SECONDS = 0.2  # a sample that takes longer is asked after each of its passes whether it is still wanted
@@ -133,16 +133,21 @@ class Renderer:
         height, width = result.pixels["combined"].shape[:2]
         # Some pictures have no parts: the first is all of them.
         part = (0, 1) if result.drawn == ((0, 0, width, height),) else request.part
+        warnings: list[str] = list(result.report["warnings"])
 
         def draw(term: Term, direct: bool) -> np.ndarray:
             name = term.light.lower()
             progress(1.0, f"Light: {name} color" if term.color else f"Light: {name}")
+            occlusion = term.light == OCCLUSION
             settings = request.settings
             settings = replace(settings, bounces=0 if direct else settings.bounces,
-                               use_eye_dome=settings.use_eye_dome and not term.color)  # fmt: skip
+                               use_indirect=settings.use_indirect or occlusion,
+                               use_eye_dome=settings.use_eye_dome and not (term.color or occlusion))  # fmt: skip
             shown = replace(scene, transparent=scene.transparent and term.light != ENVIRONMENT)
             asked = replace(request, settings=settings, passes=frozenset({"combined"}), part=part, term=term)
             frame = Frame(self, shown, asked, cancelled)
+            if occlusion:
+                warnings.extend(frame.frame_plan.warnings)
             try:
                 while frame.done < samples and frame.sample():
                     frame.clock.settle()
@@ -151,10 +156,12 @@ class Renderer:
             finally:
                 frame.release()
 
-        found = light_passes(asked, light, result.pixels["combined"], scene.transparent, draw)
+        found = light_passes(asked, light, result.pixels["combined"], scene.transparent, draw,
+                             scene.world.occlusion_distance)  # fmt: skip
         seconds = time.perf_counter() - started
         report = {**result.report, "seconds": result.report["seconds"] + seconds}
         report["skipped"] = [one for one in report["skipped"] if one["name"] != "light passes"]
+        report["warnings"] = list(dict.fromkeys(warnings))
         report["passes"] = [*report["passes"], {"name": "light passes", "ms": round(1000 * seconds, 3)}]
         return replace(result, pixels={**result.pixels, **found}, report=report)
 

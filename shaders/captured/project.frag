@@ -123,6 +123,9 @@ void main()
 #ifdef PS_DARK
   radiance = vec3(0.0);
 #endif
+#ifdef PS_WHITE
+  radiance = vec3(1.0);
+#endif
   bool seen = d > u.near && d < u.far && opacity >= PS_LEAST_ALPHA && det < 1e30;
   out_centre = seen ? vec4(u.focal * p.xy * over, d, opacity) : vec4(0.0);
   out_shape = seen ? vec4(wide, det) : vec4(1.0, 0.0, 1.0, 1.0);

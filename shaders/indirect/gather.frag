@@ -10,6 +10,7 @@
 // cell that they cover in part. In a part what lies at one distance adds up, as it tiles a surface; what lies clearly farther away,
 // beside how far a tilted surface goes on within a cell, is hidden by chance.
 // PS_EVERY_SIDE: of a hemisphere, half of what a receiver within a medium sees: without the cosine.
+// PS_OCCLUSION: how much of a white world is open: what hides it sends no light, and does so within a distance alone.
 // PS_MOMENTS, with it: in place of out_diffuse, moments over the hemisphere of what is seen, as of core/indirect/moments.py.
 
 #include "lib/light/environment.glsl"
@@ -56,7 +57,9 @@
 
 float ps_covered[PS_CELLS * PS_CELLS];  // share of the cell
 float ps_weight[PS_CELLS * PS_CELLS];  // of what covers it: solid angle times cosine
+#ifndef PS_OCCLUSION
 vec3 ps_light[PS_CELLS * PS_CELLS];  // that comes from what covers it, times solid angle and cosine
+#endif
 #ifdef PS_MEDIA
 float ps_distance[PS_CELLS * PS_CELLS];  // of what covers it, times ps_weight
 #ifdef PS_GLOSSY
@@ -123,7 +126,9 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   // A walk does not meet all in order: fronts that come hardly farther away take the place of such backs before them.
   // Arrays are read and written once: software rasterisers do it one receiver after the other.
   float covered = ps_covered[i], inside = ps_inside[i], of_cell = ps_weight[i], latest = ps_left[i];
+#ifndef PS_OCCLUSION
   vec3 light = ps_light[i];
+#endif
   float entered = seen.front * part, left = seen.back * part;
   bool tiles = !look.scattered;
   float solid = tiles ? 1.0 : 0.0, shown = solid * (1.0 - covered) * cell;
@@ -142,11 +147,17 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   covered += covers;
   float weight = covers * cell * PS_COSINE(seen.direction);
   sum.nearness += weight * seen.nearness;
+#ifdef PS_OCCLUSION
+  const vec3 radiance = vec3(0.0);
+#else
   vec3 radiance = (entered * seen.radiance + seen_back * (tiles ? look.inside : seen.radiance)) / max(whole, 1e-30);
+#endif
   ps_covered[i] = covered;
   ps_inside[i] = inside;
   ps_weight[i] = of_cell * kept + weight;
+#ifndef PS_OCCLUSION
   ps_light[i] = light * kept + radiance * weight;
+#endif
   ps_left[i] = seen_back > 0.0 && tiles ? seen.nearness : latest;
 #ifdef PS_MEDIA
   ps_distance[i] = ps_distance[i] * kept + weight / max(seen.nearness, 1e-30);
@@ -202,7 +213,9 @@ void ps_cover_parts(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float s
   sum.nearness += weight * seen.nearness;
   ps_covered[i] = covered;
   ps_weight[i] += weight;
+#ifndef PS_OCCLUSION
   ps_light[i] += seen.radiance * weight;
+#endif
 #ifdef PS_MEDIA
   ps_distance[i] += weight / max(seen.nearness, 1e-30);
 #endif
@@ -340,6 +353,15 @@ PsLeaf ps_leaf(PsNode node, PsNodeLook look, vec3 offset)
   return leaf;
 }
 
+#ifdef PS_OCCLUSION
+// How much of a piece lies within the distance that counts; `cosine`: between its normal and the way to it.
+float ps_share_within(float away, float radius, float cosine)
+{
+  float deep = radius * sqrt(max(1.0 - cosine * cosine, 0.0));
+  return clamp(0.5 + 0.5 * (u.within - away) / max(deep, 1e-6 * away), 0.0, 1.0);
+}
+#endif
+
 void main()
 {
   ivec2 texel = ivec2(gl_FragCoord.xy);
@@ -359,7 +381,9 @@ void main()
   for (int i = 0; i < PS_CELLS * PS_CELLS; i++) {
     ps_covered[i] = 0.0;
     ps_weight[i] = 0.0;
+#ifndef PS_OCCLUSION
     ps_light[i] = vec3(0.0);
+#endif
     ps_inside[i] = 0.0;
     ps_left[i] = 0.0;
 #ifdef PS_CAPTURED
@@ -408,6 +432,9 @@ void main()
         float cell = ps_cell_solid_angle(local);
         bool coarse = d < 1.5 * node.radius || largest > u.coarseness * cell * ps_sameness(node, along);
         above = above && (d < 1.5 * node.radius || !ps_behind(local, node.radius / d, cell));
+#ifdef PS_OCCLUSION
+        above = above && d - node.radius < u.within;
+#endif
         opened += above ? 1 : 0;
         tilt = node.radius * sqrt(clamp(1.0 - upright * upright, 0.0, 1.0));
         part = 0;
@@ -465,6 +492,9 @@ void main()
       float signed_area = -dot(look.facing, to) / away, toward = -dot(look.axis, to) / away;
       float both = max(look.along * abs(toward) + 0.5 * (1.0 - look.along), abs(signed_area));
       float angle = 0.5 * above * area / (away2 + area / (2.0 * PS_PI));
+#ifdef PS_OCCLUSION
+      angle *= ps_share_within(away, 0.5 * (whole_leaf ? 2.0 * node.radius : max(sides.x, sides.y)), look.along * toward);
+#endif
       PsSeen seen;
       seen.nearness = 1.0 / away;
       seen.across = look.scattered ? PS_SPREAD * node.radius / away : 0.0;
@@ -529,6 +559,10 @@ void main()
       air.all /= all_shares;
       air.left /= all_shares;
       vec3 sent = mix(air.all, air.before, tight);
+#endif
+#if defined(PS_OCCLUSION)
+      const vec3 of_surfaces = vec3(0.0);
+#elif defined(PS_MEDIA)
       vec3 of_surfaces = ps_light[i] * (scale * air.left_before) + weight * sent;
 #else
       vec3 of_surfaces = ps_light[i] * scale;
@@ -537,6 +571,9 @@ void main()
       // What is open of a cell that is covered in part is where it is not: on the other side of its middle.
       float left_weight = left > 1e-3 ? clamp(weight - ps_weight[i] * scale, 0.0, weight) : 0.0;
       whole += weight;
+#ifdef PS_OCCLUSION
+      sum.nearness += left_weight / u.within;  // as far away begins what does not count
+#endif
 #ifdef PS_GLOSSY
       float of_lobe = angle * ps_lobe(direction, lobe);
       whole_lobe += of_lobe;

@@ -2,7 +2,7 @@
 // that show nothing are left to background.frag. PS_AUXILIARY_ONLY: only passes beside Combined are drawn. PS_GROUPED: the
 // texels are a list of groups of sub-samples, and shape.xy is where in the pixel the one lies that stands for the group.
 // PS_FOOTPRINT: shadows are looked up at each of these sub-samples. PS_MATTES: some groups are mattes, which are left to
-// PS_CATCHER, for which light is that of what was added to a capture. PS_BEHIND: what mattes let through. PS_HITS: the texels
+// PS_CATCHER, for which light is that of what was added to a capture. PS_BEHIND: what mattes let through. PS_BRIGHT: no shadow falls on them. PS_HITS: the texels
 // are a list of what rays have met.
 
 #include "lib/geometry/camera.glsl"
@@ -121,7 +121,11 @@ void main()
 #endif
 #ifdef PS_CATCHER
   // What is behind it shows through, as dark as the shadows are that fall onto it.
+#ifdef PS_BRIGHT
+  const vec3 left = vec3(1.0);
+#else
   vec3 left = ps_captured_light(position, normal, to_eye, u.light_count);
+#endif
 #ifdef PS_BEHIND
   vec4 behind = texelFetch(ps_behind, ps_listed(pixel).pixel, 0);
 #else

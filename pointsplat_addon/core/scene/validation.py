@@ -96,6 +96,7 @@ RULES: dict[type, dict[str, Rule]] = {
         "image": Rule(LATER),  # the environment's importance ignores texels that are no numbers
         "mirrored": Rule(LATER),
         "world_rotation": Rule(DEFAULT, -1.01, 1.01),  # float32's rounding, and no more
+        "occlusion_distance": Rule(LATER),  # render/frame/indirect/kept.py takes what is no number as no bound
     },
     Fog: {
         "extinction": Rule(CLAMP, 0, STRONGEST),

@@ -29,6 +29,7 @@ class World:
     fog: Fog | None = None
     mirrored: np.ndarray | None = None  # (H, W, 3) float32: what is seen in glossy surfaces instead of `image`
     seen: World | None = None  # what cameras see instead, without fog of its own; None: the same
+    occlusion_distance: float = np.inf  # how far away things may be that count for the pass of ambient occlusion
 
     @property
     def behind(self) -> World:

@@ -261,6 +261,10 @@ class POINTSPLAT_VIEWLAYER_PT_light_passes(_Panel, bpy.types.Panel):
         column = layout.column(heading="Other", align=True)
         column.prop(view_layer, "use_pass_emit", text="Emission")
         column.prop(view_layer, "use_pass_environment")
+        column.prop(view_layer, "use_pass_ambient_occlusion")
+        world = getattr(view_layer, "world_override", None) or context.scene.world
+        if view_layer.use_pass_ambient_occlusion and world is not None:
+            column.prop(world.light_settings, "distance")
 
 
 class POINTSPLAT_DATA_PT_light_shadow(_Panel, bpy.types.Panel):

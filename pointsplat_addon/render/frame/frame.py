@@ -208,11 +208,11 @@ class Frame:
             )
         )
 
-    def _kept_light(self) -> IndirectLight | None:
-        """Returns the light that surfaces and media receive from each other; None where there are none."""
+    def _kept_light(self) -> IndirectLight:
+        """Returns the light that surfaces and media receive from each other."""
         device, frame_plan, uploads, store = self.device, self.frame_plan, self.uploads, self.renderer.store
         camera, bounces = frame_plan.request.camera, frame_plan.request.settings.bounces
-        found: list[IndirectLight | None] = []
+        found: list[IndirectLight] = []
         scene, plan, check = frame_plan.scene, frame_plan.plan, self.clock.check
 
         def make() -> None:

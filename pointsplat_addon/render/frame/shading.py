@@ -13,6 +13,7 @@ from ..passes.shading.averages import averaged
 from ..passes.shading.backdrop import Backdrop
 from ..passes.shading.background import background_program
 from ..passes.shading.shade import matte_program, shade_program, shade_values
+from ..passes.shading.terms import OCCLUSION
 from ..passes.tiles import Region
 from ..passes.uniforms import SampleView
 from ..passes.visibility.buffer import VisibilityBuffer
@@ -56,9 +57,11 @@ class Shading:
         )  # fmt: skip
         self._mattes = None
         if plan.matte_light.lit:
+            occlusion = plan.term is not None and plan.term.light == OCCLUSION
             self._mattes = matte_program(
-                plan.variant, plan.matte_light.names, request.samples, lattice_of(plan.sub_samples), plan.background
-            )
+                plan.variant, plan.matte_light.names, request.samples, lattice_of(plan.sub_samples), plan.background,
+                shadows=not occlusion,
+            )  # fmt: skip
         self._background = background_program(
             plan.background_defines,
             scene.transparent,

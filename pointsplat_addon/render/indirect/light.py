@@ -46,10 +46,18 @@ class IndirectLight:
     """Such a tree on the device, from which light is gathered."""
 
     def __init__(
-        self, device: Device, baked: BakedLight, world: World, names: tuple[str, ...], key: Key | None = None
+        self,
+        device: Device,
+        baked: BakedLight,
+        world: World,
+        names: tuple[str, ...],
+        key: Key | None = None,
+        within: float | None = None,
     ) -> None:
-        """`names`: PS_ names of the world. `key`: by which it is kept."""
+        """`names`: PS_ names of the world. `key`: by which it is kept. `within`: what hides the world sends no light,
+        and what is farther away than this does not hide it. None: all does both."""
         self._device, self._names, self.key = device, names, key
+        self._within = within
         self.origin = baked.origin
         self._baked: BakedLight | None = baked  # until something is gathered
         self._root, self.media = len(baked.nodes) - 1, baked.media
@@ -89,9 +97,9 @@ class IndirectLight:
         return self.media is not None and self.media.colored
 
     @property
-    def empty(self) -> bool:
-        """Whether nothing hides or scatters light."""
-        return self._root < 0 and self.media is None
+    def occlusion(self) -> bool:
+        """Whether it tells how much of the world is open, and no light."""
+        return self._within is not None
 
     def gathered(
         self,
@@ -142,6 +150,7 @@ class IndirectLight:
 
     def _program(self, glossy: bool, **kind: bool) -> Interface:
         of_scene = {"media": self.media is not None, "colored": self._colored, "captured": self._captured}
+        of_scene["occlusion"] = self.occlusion
         return gather_program(self._names, glossy, **of_scene, **kind)
 
     def _gathered(
@@ -155,6 +164,7 @@ class IndirectLight:
             to[rows] = of
         texture = receiver_texture(device, *laid)
         values: dict[str, object] = {"root": self._root, "coarseness": COARSENESS, "sky": sky}
+        values |= {} if self._within is None else {"within": self._within}
         if (media := self.media) is not None:
             values |= {"media_corner": (*media.low, media.edge), "media_cells": (*media.shape, 0)}
         assert program.block is not None

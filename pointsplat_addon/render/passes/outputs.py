@@ -60,6 +60,7 @@ LIGHT_PASSES = (
     _of_light("volume_indirect", "VolumeInd", "Volume Indirect", "pointsplat.use_pass_volume_indirect"),
     _of_light("emission", "Emit", "Emission", "use_pass_emit"),
     _of_light("environment", "Env", "Environment"),
+    _of_light("ambient_occlusion", "AO", "Ambient Occlusion"),
 )
 BY_KEY = {p.key: p for p in (*PASSES, *LIGHT_PASSES)}
 OF_LIGHT = frozenset(p.key for p in LIGHT_PASSES)

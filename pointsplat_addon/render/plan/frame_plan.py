@@ -27,7 +27,7 @@ from ..passes.output.adaptive import why_everywhere
 from ..passes.outputs import CRYPTO
 from ..passes.shading.averages import averaged
 from ..passes.shading.data import data
-from ..passes.shading.terms import ENVIRONMENT
+from ..passes.shading.terms import ENVIRONMENT, OCCLUSION
 from ..prepare.captured import casting_on_captured, count_captured, lit_captured
 from ..prepare.in_view import without_invisible_layers
 from ..prepare.mattes import casting_on_mattes, with_mattes
@@ -264,7 +264,10 @@ def make_frame_plan(
     some = _has_opaque(prepared) or prepared.out_of_focus is not None
     lacks_eye_dome = request.settings.use_eye_dome and picture and some and not plan.eye_dome
     lacks_indirect = request.settings.use_indirect and picture and reflects and prepared.out_of_focus is not None
-    lacks_indirect = lacks_indirect and sends_light(scene, request.settings.bounces)
+    occlusion = request.term is not None and request.term.light == OCCLUSION
+    lacks_indirect = lacks_indirect and sends_light(scene, request.settings.bounces) and not occlusion
+    open_everywhere = absences.indirect or "something is out of focus"
+    lacks_occlusion = occlusion and picture and some and not plan.indirect
     not_trained = settings.captured_blending == "TRAINED" and bool(prepared.captured) and picture and linear
     radius = filter_reach(neighbourhood(request.settings)) if sub_samples else plan.splat_radius(prepared.largest)
     view, corner = with_margin(camera, radius, limits.texture_size)
@@ -290,6 +293,7 @@ def make_frame_plan(
             *shown_alike(scene, technique.name),
             *((f"Eye-dome lighting is left out: {absences.eye_dome}",) if lacks_eye_dome else ()),
             *((UNLIT_OUT_OF_FOCUS,) if lacks_indirect else ()),
+            *((f"Ambient Occlusion is 1 wherever something is: {open_everywhere}",) if lacks_occlusion else ()),
             *((f"Captured splats are blended in linear light, not as trained: {linear}",) if not_trained else ()),
             *prepared.warnings,
             *unsupported,

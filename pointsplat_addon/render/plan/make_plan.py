@@ -23,7 +23,7 @@ from ..passes.gbuffer import Variant
 from ..passes.pages.point_page import PointOptions
 from ..passes.shading.averages import averaged
 from ..passes.shading.data import NEED_OWNER, data
-from ..passes.shading.terms import ENVIRONMENT, GLOSSY, VOLUME, Term
+from ..passes.shading.terms import ENVIRONMENT, GLOSSY, OCCLUSION, VOLUME, Term
 from ..passes.translucent.options import TranslucentOptions
 from ..passes.translucent.options import options as translucent_options
 from ..prepare.point_sets import Layer, PointSet
@@ -259,7 +259,8 @@ def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
     something is drawn."""
     scene = view.scene
     found: tuple[str, ...] = ()
-    if drawn and (view.reflects or scene.world.fog is not None) and view.picture:
+    reflects = view.reflects or scene.world.fog is not None or _occlusion(view.request.term)
+    if drawn and reflects and view.picture:
         table = scene.materials
         coats = () if table.coat is None else table.coat.roughness
         smoothest = 0.0 if varies else float(np.min([table.roughness.min(), *coats]))
@@ -291,8 +292,15 @@ def _indirect(view: ViewToPlan, kinds: _Kinds) -> bool:
 
 def _gathers(view: ViewToPlan) -> bool:
     """Whether something that is drawn may receive light that is not of lamps alone."""
-    drawn = not view.absences.indirect and view.picture and view.reflects
-    return drawn and not view.defocus and sends_light(view.scene, view.request.settings.bounces)
+    if view.absences.indirect or not view.picture or view.defocus:
+        return False
+    if _occlusion(view.request.term):
+        return True  # whatever surfaces reflect, and whatever shines
+    return view.reflects and sends_light(view.scene, view.request.settings.bounces)
+
+
+def _occlusion(term: Term | None) -> bool:
+    return term is not None and term.light == OCCLUSION
 
 
 def sends_light(scene: Scene, bounces: int) -> bool:
@@ -390,7 +398,7 @@ def _translucent(view: ViewToPlan, kinds: _Kinds) -> TranslucentOptions | None:
         gathered=found.media and _gathers(view) and (term is None or (term.light == VOLUME and not term.color)),
         mattes=view.mattes and found.captured,
         depth=wanted and found.captured,
-        trained=found.captured and not view.absences.trained,
+        trained=found.captured and not (view.absences.trained or _occlusion(term)),
         term=view.request.term,
     )
 

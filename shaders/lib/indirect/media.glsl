@@ -59,6 +59,9 @@ void ps_march_on(inout PsMarch found, inout PsRay ray, vec3 count, float surface
   vec3 sends = medium.rgb;
   float extinction = medium.a;
 #endif
+#ifdef PS_OCCLUSION
+  sends = vec3(0.0);
+#endif
   float end = min(min(ray.next.x, ray.next.y), min(ray.next.z, ray.far));
   float length = max(end - ray.t, 0.0) * u.media_corner.w;
   PS_SHARE depth = extinction * length, passed = exp(-depth);
@@ -88,6 +91,9 @@ PsMarch ps_march(vec3 origin, vec3 direction, float surface)
   ray.apart = abs(inverse);
   ray.cell = clamp(floor(at + ray.t * d), vec3(0.0), count - 1.0);
   ray.next = (ray.cell + forwards - at) * inverse;
+#ifdef PS_OCCLUSION
+  ray.far = min(ray.far, u.within / u.media_corner.w);
+#endif
   PsMarch found = PsMarch(vec3(0.0), PS_SHARE(1.0), vec3(0.0), PS_SHARE(1.0));
   float before = surface / u.media_corner.w;
   // Four cells at a turn: software rasterisers end all loops together after 65,535 turns.

@@ -28,17 +28,31 @@
 #include "lib/light/light_loop.glsl"
 #include "lib/fog/medium.glsl"
 
+#ifdef PS_TERM_OCCLUSION
+// What a surface receives of a white world alone.
+vec3 ps_unoccluded()
+{
+#ifdef PS_INDIRECT
+  return min(ps_gathered.rgb, 1.0);
+#else
+  return vec3(1.0);
+#endif
+}
+#endif
+
 // Radiance towards the eye at a point in view space. normal and to_eye are unit; the normal is that of the side that is
 // seen. plane: the unit normal of the surface's plane, turned to the eye, where that is not `normal`; else (0, 0, 0).
 // light_count: how many rows of lights ps_lights holds.
 vec3 ps_shade(vec3 position, vec3 normal, vec3 plane, vec3 to_eye, PsSurface surface, int light_count)
 {
-#ifdef PS_SHOWS_EMISSION
+#if defined(PS_TERM_OCCLUSION)
+  vec3 result = ps_unoccluded();
+#elif defined(PS_SHOWS_EMISSION)
   vec3 result = surface.emission;
 #else
   vec3 result = vec3(0.0);
 #endif
-#if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT) || defined(PS_INDIRECT)
+#if !defined(PS_TERM_OCCLUSION) && (defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT) || defined(PS_INDIRECT))
   PsLobes lobes = ps_lobes(surface, normal, plane, to_eye);
 #ifdef PS_ROUGH_DIFFUSE
   ps_roughen(lobes, surface.base, ps_diffuse_roughness);

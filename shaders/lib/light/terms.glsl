@@ -1,5 +1,6 @@
 // Which terms of light are shaded: all, or with PS_TERM the one that render/passes/shading/terms.py names. Only the
 // radiance differs, not what is hidden. PS_TERM_COLOR: in place of radiance the share of even light that is reflected.
+// PS_TERM_OCCLUSION: in place of it what surfaces receive of a white world.
 
 #if !defined(PS_TERM) || defined(PS_TERM_EMISSION)
 #define PS_SHOWS_EMISSION

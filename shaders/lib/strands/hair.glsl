@@ -245,12 +245,14 @@ float ps_light_spread(int index, ivec4 ends, vec3 position)
 // Radiance towards the eye of a strand, in view space; vectors are unit.
 vec3 ps_shade_strand(vec3 position, vec3 tangent, vec3 to_eye, PsSurface surface, vec4 fibre, int light_count)
 {
-#ifdef PS_SHOWS_EMISSION
+#if defined(PS_TERM_OCCLUSION)
+  vec3 result = ps_unoccluded();
+#elif defined(PS_SHOWS_EMISSION)
   vec3 result = surface.emission;
 #else
   vec3 result = vec3(0.0);
 #endif
-#if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT) || defined(PS_INDIRECT)
+#if !defined(PS_TERM_OCCLUSION) && (defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT) || defined(PS_INDIRECT))
   PsStrand strand = ps_strand(surface, fibre, tangent, to_eye);
 #if defined(PS_TERM_COLOR)
 #ifdef PS_SHOWS_GLOSSY

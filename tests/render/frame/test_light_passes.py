@@ -139,7 +139,7 @@ def test_a_dull_surface_has_its_colour_and_the_light_of_the_world():
     np.testing.assert_allclose(found["diffuse_color"], (0.8, 0.4, 0.2), rtol=1e-6)
     np.testing.assert_allclose(found["diffuse_direct"], SKY, rtol=1e-6)
     np.testing.assert_allclose(found["emission"], (0.1, 0.2, 0.3), rtol=1e-6)
-    rest = OF_LIGHT - {"diffuse_color", "diffuse_direct", "emission"}
+    rest = OF_LIGHT - {"diffuse_color", "diffuse_direct", "emission", "ambient_occlusion"}
     assert not any(found[key].any() for key in rest)
 
 
@@ -212,6 +212,7 @@ def test_each_term_is_drawn_once_and_only_if_it_is_needed():
     assert drawn("emission") == []
     assert len(drawn("volume_direct", "volume_indirect", media=True)) == 1
     assert len(drawn("volume_direct", "volume_indirect", media=True, bounces=True)) == 2
-    assert len(drawn(*OF_LIGHT)) == 5
+    assert drawn("ambient_occlusion") == [(Term("OCCLUSION"), True)]
+    assert len(drawn(*OF_LIGHT)) == 6
     every = drawn(*OF_LIGHT, bounces=True, transmits=True, media=True, emits=True)
-    assert len(every) == len(set(every)) == 13
+    assert len(every) == len(set(every)) == 14

@@ -77,3 +77,16 @@ def test_a_ball_of_few_triangles_hides_no_sky_from_itself(rings, bound):
     inside = found[..., 3] > 0.999
     assert inside.sum() > 5000
     assert np.sqrt(np.mean((found[inside][:, :3] - 1) ** 2)) < bound
+
+
+@pytest.mark.parametrize("scatters", [True, False])
+def test_what_lets_light_through_or_scatters_none_has_all_of_the_sky(scatters):
+    """A pane, or a plane that *Diffuse* rays do not meet, is in no tree; nothing hides the sky from it."""
+    table = materials(1, base_color=[[0.5] * 3], specular=[0.0], alpha=[0.5], translucent=np.array([scatters]))
+    alone = scene((mesh(plane_mesh("plane alone", 4.0), "POLYGONS"), moved()), lights=(), world=World(np.ones(3)),
+                  table=table)  # fmt: skip
+    alone = replace(alone, instances=replace(alone.instances, scatters=np.array([scatters])))
+    found = drawn(Case(alone, camera((0.0, -3.0, 0.0)), replace(SETTINGS, bounces=1)))
+    height, width = found.shape[:2]
+    expected = 0.5 * 0.5 + 0.5 if scatters else 0.5
+    np.testing.assert_allclose(found[height // 2, width // 2, :3], expected, rtol=1e-6)

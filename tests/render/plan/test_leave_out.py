@@ -180,6 +180,7 @@ EXPECTED = {
     "environment picture, out of focus": "backdrop background",
     "points in focus in an environment picture": "backdrop " + IMAGE + SEEN,
     "visibility buffer, a cube, passes of light": "polygons background light+passes " + GROUPED,
+    "visibility buffer, a cube, ambient occlusion": "polygons background light+passes " + GROUPED,
     "nothing, every pass": "",
     "points and polygons, every pass": "polygons data " + IMAGE + SEEN,
 }
@@ -343,6 +344,8 @@ def test_what_differs_between_scenes_is_what_the_feature_needs():
         ("polygons, colours from a picture", "polygons, roughness from a picture",
          {("polygons", "ps_baked_surface")}, "PS_SURFACE"),
         ("captured splats", "captured splats, blended as trained", set(), "PS_TRAINED"),
+        ("visibility buffer, a cube, passes of light", "visibility buffer, a cube, ambient occlusion",
+         {("shade", "ps_gathered_light")}, "PS_TERM_OCCLUSION"),
     )  # fmt: skip
     for plain, more, samplers, define in pairs:
         before, after = found(plain).device, found(more).device

@@ -279,6 +279,9 @@ ROWS: dict[str, Row] = {
         lambda: with_settings(solid_cases.cube(), technique="VISIBILITY"),
         COMBINED | {"diffuse_direct", "diffuse_color", "environment"},
     ),
+    "visibility buffer, a cube, ambient occlusion": Row(
+        lambda: with_settings(solid_cases.cube(), technique="VISIBILITY"), COMBINED | {"ambient_occlusion"}
+    ),
     "nothing, every pass": Row(solid_cases.empty, ALL_PASSES),
     "points and polygons, every pass": Row(solid_cases.mixed, ALL_PASSES),
 }  # fmt: skip

@@ -32,6 +32,8 @@ def convert_world(depsgraph: bpy.types.Depsgraph) -> tuple[World, list[Light], l
 def from_world(world: bpy.types.World | None) -> tuple[World, list[Light], list[str]]:
     """An evaluated world as a World, the suns of its skies, and warnings; None is a black world."""
     found, suns, warnings = _surface(world)
+    if world is not None:
+        found = replace(found, occlusion_distance=world.light_settings.distance)
     if world is None or (output := _output(world)) is None or not output.inputs["Volume"].is_linked:
         return found, suns, warnings
     fog, messages = _fog(world.name, output.inputs["Volume"])

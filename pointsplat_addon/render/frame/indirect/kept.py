@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 
 from ....core.indirect.triangle_tree import triangle_tree
 from ....core.scene.camera import Camera
 from ....core.scene.scene import Scene
+from ....core.scene.world import World
 from ...cache.keys import Key, Kind
 from ...cache.on_disk import form_of_records
 from ...cache.store import Store
@@ -23,12 +24,15 @@ from ...indirect.media import BakedMedia, scene_media
 from ...indirect.surfels import scene_density, scene_surfels, usable_instances
 from ...indirect.traced import scene_triangles
 from ...passes.indirect.trace import TracedTriangles
+from ...passes.shading.terms import OCCLUSION
 from ...plan.plan import Plan
 from ..uploads.lighting import ArrayIdentity
 from ..uploads.uploads import Uploads
 from .mirrors import TracedScene
 
 FORM = form_of_records(BakedLight, BakedMedia)
+WHITE = ("PS_HAS_WORLD",)
+NEAREST, FARTHEST = 1e-30, 1e30  # of what occludes: their inverses are floats, too
 
 
 def kept_light(
@@ -41,18 +45,22 @@ def kept_light(
     store: Store,
     check: Callable[[], None],
     slices: Slices,
-) -> IndirectLight | None:
-    """Returns the indirect light of a scene; None where nothing hides or scatters light.
+) -> IndirectLight:
+    """Returns the indirect light of a scene; where nothing hides or scatters light, all of the sky is open.
 
-    It depends on the camera only as the density of surfels does. Raises what `check` raises. Cancelled: `slices` put
+    Of the term OCCLUSION: how much of the world what casts shadows leaves open. It depends on the camera only as the
+    density of surfels does. Raises what `check` raises. Cancelled: `slices` put
     the rest off; what was made until then stays in the store. Unless they are endless, surfels are made on the store's
     thread, and Cancelled is raised until they are there.
     """
-    density, origin = scene_density(scene, camera, store)
     lighting = tuple(name for name in plan.lighting if name != "PS_SHADOW_NESTED")
-    light = uploads.lighting
+    light, within = uploads.lighting, None
+    if plan.term is not None and plan.term.light == OCCLUSION:
+        scene, lighting, within = _in_white_world(scene), WHITE, _finite(plan.term.within)
+    density, origin = scene_density(scene, camera, store)
     geometries, *content = scene_content(scene, store)
     depends_on = density.key, *content, light.shadow_key, lighting, bounces
+    depends_on += () if within is None else (within,)
     key = Key(Kind.LIGHT_TREE, geometries, other=depends_on)
 
     # Each device has its own, for a picture on another thread may need the same.
@@ -84,10 +92,23 @@ def kept_light(
 
     def make() -> IndirectLight:
         baked = light.on_disk.lookup(key, bake, FORM, device.limits.driver)
-        return IndirectLight(device, baked, scene.world, world_names(lighting), key)
+        return IndirectLight(device, baked, scene.world, world_names(lighting), key, within)
 
     found: IndirectLight = uploads.lookup(key, make)
-    return None if found.empty else found
+    return found
+
+
+def _in_white_world(scene: Scene) -> Scene:
+    """The scene, in which what casts shadows hides an even world that is 1, and nothing else shines."""
+    instances, table = replace(scene.instances, scatters=scene.instances.casts), scene.materials
+    if table.glass is not None and table.translucent is not None:
+        table = replace(table, translucent=table.translucent & ~table.glass)  # it bends light, but casts shadows
+    return replace(scene, instances=instances, materials=table, world=World(np.ones(3)), lights=())
+
+
+def _finite(distance: float) -> float:
+    """The distance, for the device; one that is no number is as good as none."""
+    return FARTHEST if np.isnan(distance) else min(max(float(distance), NEAREST), FARTHEST)
 
 
 def scene_content(scene: Scene, store: Store) -> tuple:

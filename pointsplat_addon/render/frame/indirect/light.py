@@ -86,6 +86,8 @@ class GroupsInIndirectLight:
         count = len(entries)
         held = "ps_places", "ps_ups", *(() if mirrors is None else ("rays",))
         place, up, *rays = (device.read(lists.textures[name]).reshape(-1, 4)[:count] for name in held)
+        if self._light.occlusion:
+            up[:, 3] = -1  # nothing is mirrored
         eye = view.world_from_view[:3, 3] - self._light.origin
         to_eye = directions_to_eye(view, place[:, :3])
         groups = Groups(eye, place[:, :3] + eye, up[:, :3], place[:, 3], entries[:, 0].astype(np.int64))

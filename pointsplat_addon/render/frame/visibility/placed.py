@@ -24,7 +24,7 @@ from ....core.surface.samples import Samples
 from ...device.protocol import CHANNELS, EMPTY, Device, Texture
 from ...passes.gbuffer import Variant
 from ...passes.grouping.groups import Groups, Leaders
-from ...passes.shading.terms import TRANSMISSION, Term
+from ...passes.shading.terms import OCCLUSION, TRANSMISSION, Term
 from ...passes.uniforms import SampleView
 from ...passes.visibility.buffer import RASTERISED
 from ...passes.visibility.polygon_draw import Drawn
@@ -133,6 +133,8 @@ def _only_term(through: np.ndarray, glass: np.ndarray, term: Term) -> None:
         through[:, 3] = glass
     elif not term.through:
         through[glass, :3] = 0
+    if term.light == OCCLUSION:
+        through[glass, 3] = 1  # glass is a surface as others are
 
 
 def on_objects(scene: Scene, mesh: Mesh, samples: Samples, instance: np.ndarray) -> tuple[Mesh, Samples]:

@@ -19,7 +19,7 @@ from ..shading.lighting import (
     lighting_samplers,
     looks_at_points,
 )
-from ..shading.terms import DIFFUSE, EMISSION
+from ..shading.terms import DIFFUSE, EMISSION, OCCLUSION
 from ..translucent.options import TranslucentOptions, lit_outputs
 from ..uniforms import CAMERA_FIELDS, Fields, block
 
@@ -73,10 +73,12 @@ def project_program(
     named |= {"PS_TINT": options.tint, "PS_NODES": nodes, "PS_TRAINED": options.trained}
     term = options.term
     if term is not None:
-        # Captured light is emitted; relit colours are what dull surfaces reflect.
+        # Captured light is emitted; relit colours are what dull surfaces reflect. Nothing occludes either.
         relit = light.kind == "RELIT"
-        named["PS_DARK"] = term.light != (DIFFUSE if relit else EMISSION) or (term.color and not relit)
-        light = UNLIT if named["PS_DARK"] or term.color else light
+        named["PS_WHITE"] = term.light == OCCLUSION
+        shown = (DIFFUSE if relit else EMISSION), OCCLUSION
+        named["PS_DARK"] = term.light not in shown or (term.color and not relit)
+        light = UNLIT if named["PS_DARK"] or named["PS_WHITE"] or term.color else light
     named[f"PS_{light.kind}"] = light.lit
     lighting = light.names if light.lit else ()
     constants = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ....core.indirect.moments import MOMENTS
-from ....shading.interface import Interface
+from ....shading.interface import Block, Interface
 from ...device.protocol import Device, Texture
 from ..uniforms import Fields, block
 from .pages import MEDIA_WIDTH, NODE_WIDTH, RECEIVER_WIDTH
@@ -20,7 +20,13 @@ MEDIA_FIELDS: Fields = (
     ("vec4", "media_corner"),  # of the grid, in the tree's space, and the edge of a cell
     ("ivec4", "media_cells"),  # along each axis
 )
-GATHER_MEDIA_BLOCK = block("GatherMedia", GATHER_FIELDS, MEDIA_FIELDS)
+WITHIN_FIELDS: Fields = (("float", "within"),)  # how far away what occludes may be
+
+
+def _block(media: bool, occlusion: bool) -> Block:
+    """The uniforms of one variant."""
+    named = "Gather" + "Media" * media + "Within" * occlusion
+    return block(named, GATHER_FIELDS, MEDIA_FIELDS if media else (), WITHIN_FIELDS if occlusion else ())
 
 
 def gather_program(
@@ -32,12 +38,13 @@ def gather_program(
     colored: bool = False,
     moments: bool = False,
     captured: bool = False,
+    occlusion: bool = False,
 ) -> Interface:
     """Returns the program that gathers. `world`: the PS_ names of the sky. `glossy`: what smooth surfaces mirror.
-    `bounces`: light for surfaces that light others. `media`: there are some; its block is then GATHER_MEDIA_BLOCK.
+    `bounces`: light for surfaces that light others. `media`: there are some; its block then has MEDIA_FIELDS, too.
     `every_side`: for receivers within media, of each of two hemispheres. `colored`: extinction of media differs between
     the channels. `moments`: of what is seen all around, of each of two hemispheres. `captured`: the tree has captured
-    splats."""
+    splats. `occlusion`: what hides the world sends no light, and does so within a distance alone, of WITHIN_FIELDS."""
     lights = (("FLOAT_2D", "ps_lights"),) if world else ()
     picture = (("FLOAT_2D", "ps_environment"),) if "PS_HAS_ENVIRONMENT" in world else ()
     names = (*world, *(("PS_GLOSSY",) if glossy else ()), *(("PS_BOUNCES",) if bounces else ()))
@@ -45,13 +52,14 @@ def gather_program(
     names += ("PS_MOMENTS",) if moments else ()
     names += ("PS_MEDIA_COLORED",) if media and colored else ()
     names += ("PS_CAPTURED",) if captured else ()
+    names += ("PS_OCCLUSION",) if occlusion else ()
     cells, rays = (BOUNCE_CELLS, BOUNCE_RAYS) if bounces else (CELLS, RAYS)
     of_media = (("PS_MEDIA_WIDTH", str(MEDIA_WIDTH)), ("PS_RAYS", str(rays))) if media else ()
     outputs = (("vec4", "out_diffuse"), *((("vec4", "out_glossy"),) if glossy else ()))
     if moments:
         outputs = tuple(("vec4", f"out_moments_{k}") for k in range(MOMENTS // 4))
     return Interface(
-        "gather", fragment="indirect/gather.frag", block=GATHER_MEDIA_BLOCK if media else GATHER_BLOCK,
+        "gather", fragment="indirect/gather.frag", block=_block(media, occlusion),
         outputs=outputs,
         samplers=(*(("FLOAT_2D", name) for name in ("ps_nodes", "ps_receivers")), *lights, *picture,
                   *((("FLOAT_2D", "ps_media"),) if media else ())),

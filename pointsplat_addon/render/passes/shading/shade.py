@@ -120,12 +120,17 @@ def shade_program(
 
 
 def matte_program(
-    variant: Variant, lighting: tuple[str, ...], samples: int, lattice: Lattice, behind: bool
+    variant: Variant,
+    lighting: tuple[str, ...],
+    samples: int,
+    lattice: Lattice,
+    behind: bool,
+    shadows: bool = True,
 ) -> Interface:
     """Returns the program that shades mattes among groups of sub-samples: as dark as shadows on a white surface are.
 
     `lighting`: as of `shade_program`, with the shadows of what was added to a capture. `behind`: something shows
-    through.
+    through. `shadows`: else what shows through is as bright as ever.
     """
     variant = replace(variant, color=False, surface=False, emission=False, spread=False, tangent=False)
     made = shade_program(variant, lighting, (), frozenset({"combined"}), samples, lattice=lattice)
@@ -133,5 +138,6 @@ def matte_program(
     return replace(
         made, name="mattes", samplers=(*read, *((("FLOAT_2D", "ps_behind"),) if behind else ())),
         outputs=(*made.outputs, ("vec4", "out_matte")),
-        defines=(*made.defines, ("PS_CATCHER", "1"), ("PS_SHADOWED", "1"), *((("PS_BEHIND", "1"),) if behind else ())),
+        defines=(*made.defines, ("PS_CATCHER", "1"), ("PS_SHADOWED", "1"), *(() if shadows else (("PS_BRIGHT", "1"),)),
+                 *((("PS_BEHIND", "1"),) if behind else ())),
     )  # fmt: skip
