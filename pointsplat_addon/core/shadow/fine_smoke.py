@@ -1,4 +1,4 @@
-"""Smoke drawn into cells of a shadow table that are finer than its splats, so that shadows are as sharp as these are."""
+"""Smoke drawn into cells of a shadow table finer than its splats, so that shadows are as sharp as these are."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ class GridRows:
 
 
 def draws_smoke_finely(frame: Frame, batches: Sequence[Casters]) -> bool:
-    """Whether smoke is drawn into cells that are about a third as wide as its splats: shadows are then as sharp as these.
+    """Whether smoke is drawn into cells about a third as wide as its splats: shadows are then as sharp as these.
 
     Not about a lamp within it, where splats are as wide as rows of latitude turn, nor where the frame's cells are too
     wide for it, or entries too many.
