@@ -26,7 +26,6 @@ NARROWINGS = 2  # times that the nearest entry is asked for, within what the one
 LOOSE = 0.65  # of a square's side: so far from it, and a cell more, nothing is that its neighbours do not know
 OVERLAP = 0.3  # of a segment: how far it reaches into the next, lest light slips between the cells of both
 OVERLAP_CELLS = 1.0  # and as many cells
-CAPTURED_RAMP = 0.1  # cells: captured splats set in along the ray from so far before their distance to as far after it
 
 
 def _bit_count(words: np.ndarray) -> np.ndarray:
@@ -247,7 +246,7 @@ def _look_up(
             column %= grid.count[row]
         inside &= (column >= 0) & (column < grid.count[row])
         first, end = _entry_range(level, np.where(inside, grid.first[row] + column, -1))
-        ramp = width * (CAPTURED_RAMP if level.kind == "CAPTURED" else 0.5)
+        ramp = width * level.ramp
         found = _depth_before(level, first, end, np.minimum(far, limit), ramp)
         if jitter is not None:
             until = near - OVERLAP_CELLS * width if level.kind == "OPAQUE" else near

@@ -342,7 +342,7 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="does it run at all?")
     parser.add_argument("--no-eevee", dest="eevee", action="store_false", help="which takes long without a GPU")
     parser.add_argument(
-        "--docs", type=Path, default=ROOT / "docs" / "notes", help="where the page is that is written to"
+        "--docs", type=Path, help="where the page is that is written to; by default docs/notes, or, with ROWS, none is"
     )
     parser.add_argument("--rows", type=Path, help="where the rows go; by default into DOCS")
     parser.add_argument(
@@ -360,12 +360,18 @@ def main() -> int:
         save(quick(), arguments.rows)
         return 0
     failed: list[str] = []
+    if arguments.docs is None and (arguments.rows is None or arguments.known):
+        arguments.docs = ROOT / "docs" / "notes"
     arguments.rows = arguments.rows or arguments.docs / "error_vs_time.json"
     if arguments.known:
         rows = json.loads(arguments.known.read_text(encoding="utf-8"))
     else:
         there = [name for name, kind in KINDS.items() if not kind.needs or (arguments.data / kind.needs).exists()]
         rows, failed = in_processes([name for name in there if not arguments.only or name in arguments.only], arguments)
+    if failed:
+        sys.stderr.write(f"failed, so that their rows are those of before: {', '.join(failed)}\n")
+    if arguments.docs is None:
+        return 1 if failed else 0
     page = arguments.docs / "error_vs_time.md"
     page.write_text(written(page.read_text(encoding="utf-8"), rows), encoding="utf-8")
     if find_spec("matplotlib"):
@@ -376,6 +382,4 @@ def main() -> int:
         plot_counts(rows, images / "cost_over_points.png")
     else:
         sys.stderr.write(f"no plot without matplotlib: --from {arguments.rows} where it is installed\n")
-    if failed:
-        sys.stderr.write(f"failed, so that their rows are those of before: {', '.join(failed)}\n")
     return 1 if failed else 0

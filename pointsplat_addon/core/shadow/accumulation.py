@@ -10,7 +10,7 @@ from ..numeric import segments
 from .casters import KINDS, OPAQUE_DEPTH
 from .entries import EntryBlock, concatenate_columns
 from .level import MASK_CELLS, TEXEL_CELLS, TableLevel
-from .rows import GridRows
+from .rows import GridRows, ramp_of
 
 SLAB_WIDTH, NARROW_GAP, WIDE_GAP = 1.0, 0.05, 2.0  # cells: distances that tell surfaces from each other, see _hidden
 COVERED_DEPTH = 40.0  # optical depth of a cell that a surface covers: 1 - exp(-40) is 1
@@ -42,7 +42,8 @@ def accumulate_levels(rows: GridRows, blocks: Sequence[EntryBlock], wide: bool) 
         distance, total = concatenate_columns(
             [[a[part] for a in runs[i][2:]] for i, part in zip(some, parts, strict=True)]
         )
-        yield TableLevel(KINDS[k // rows.levels], grid, rank, mask, links, distance, total)
+        kind = KINDS[k // rows.levels]
+        yield TableLevel(kind, grid, rank, mask, links, distance, total, ramp_of(rows, kind))
 
 
 def _sorted_runs(blocks: Sequence[EntryBlock]) -> Iterator[tuple[np.ndarray, np.ndarray]]:

@@ -6,7 +6,7 @@ as high: every row has as many columns as its circumference asks for, and the po
 gives its optical mass to the cells that its projection touches, each its share, over the cell's area at the splat's
 distance: a cell then holds the mean optical depth over its directions. Levels of cells that double in size let each
 splat touch four cells at most; a look-up sums the levels and interpolates between four cells of each. Captured
-splats are drawn into finer cells (captured/entries.py).
+splats and, where it is not too much, smoke are drawn into finer cells (captured/entries.py, fine_smoke.py).
 
 Four kinds of casters are kept in cells of their own. VOLUME, SHELL and CAPTURED sum optical depth, T = exp(-sum tau)
 (Beer's law). OPAQUE sums the fraction f of the cell that is covered while entries follow one another closely: the
@@ -31,7 +31,7 @@ from .grid import (
     fit_frame,
     lit_casters,
 )
-from .rows import GridRows, coarsening
+from .rows import GridRows, coarsening, draws_smoke_finely
 from .table import Emitter, ShadowTable, emitter_of
 
 __all__ = ["Casters", "ShadowTable", "build_table", "casters"]
@@ -53,7 +53,8 @@ def build_table(
         nothing = Frame(True, np.eye(3), np.zeros(3), False, -np.ones(2), np.ones(2), 1)
         return ShadowTable(nothing, Emitter("POINT", np.zeros((2, 3))), (), colored)
     frame = fit_frame(light, [*batches, *around], resolution)
-    rows = GridRows(frame, [cell_grids(frame, coarsening(frame, kind, batches)) for kind in KINDS])
+    fine = draws_smoke_finely(frame, batches)
+    rows = GridRows(frame, [cell_grids(frame, coarsening(frame, kind, batches, fine)) for kind in KINDS], fine)
     blocks = [*entry_blocks(rows, batches, colored)]
     emitter = emitter_of(light, frame)
     return ShadowTable(frame, emitter, tuple(accumulate_levels(rows, blocks, emitter.shape != "POINT")), colored)

@@ -9,6 +9,7 @@ import numpy as np
 from ..numeric.vectors import cross
 from .captured.entries import captured_entries
 from .casters import CHUNK, OPAQUE_DEPTH, Casters, rotate_vectors
+from .fine_smoke import FINE_CHUNK, fine_entries
 from .grid import directions, plane_distance, slopes
 from .rows import HALF_EXTENT, WIDEST_DEVIATION, DistanceSpans, GridRows, distance_spans, level_of_splats
 
@@ -40,8 +41,9 @@ def _batch_entries(rows: GridRows, batch: Casters, share: float) -> Iterator[Ent
         yield from captured_entries(rows, batch, share)
         return
     spans = distance_spans(rows.frame, batch)
-    for start in range(0, len(batch), CHUNK):
-        yield _splat_entries(rows, batch.take(slice(start, start + CHUNK)), spans)
+    step = FINE_CHUNK if rows.fine and batch.kind == "VOLUME" else CHUNK
+    for start in range(0, len(batch), step):
+        yield _splat_entries(rows, batch.take(slice(start, start + step)), spans)
 
 
 def concatenate_columns(parts: Sequence[Sequence[np.ndarray]]) -> tuple:
@@ -83,6 +85,8 @@ def _splat_entries(rows: GridRows, batch: Casters, spans: DistanceSpans) -> tupl
         cosine = np.cos(latitude)
         latitude = latitude - (np.hypot(cosine, np.minimum(np.maximum(up, across), 1)) - cosine) * np.sin(latitude)
     level = level_of_splats(rows, batch, distance, spans)
+    if rows.fine and batch.kind == "VOLUME":
+        return fine_entries(rows, level, latitude, longitude, distance, strength)
     if (level == level[0]).all():
         level = level[:1]  # what follows from it is the same for all splats then, and not gathered for each
     one = len(level) == 1

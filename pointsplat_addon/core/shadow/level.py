@@ -22,6 +22,7 @@ class TableLevel:
     links: np.ndarray  # (O + 1,) int32
     distance: np.ndarray  # (E,) float32, ascending within a cell
     total: np.ndarray  # (E, 1 or 3) float32: optical depth up to and with the entry
+    ramp: float  # cells: entries set in along the ray from so far before their distance to as far after it
 
     @property
     def nbytes(self) -> int:

@@ -23,6 +23,11 @@ HALF_EXTENT = {
     "OPAQUE": 1.0,
 }  # half extent in a cell, in half-axes: see _split
 SMOKE_CELL = 1.005 * 2 * HALF_EXTENT["VOLUME"]  # cells of smoke per radius of its splats: just wide enough for them
+# Half extent, in cells, of smoke that is drawn into finer ones (fine_smoke.py): they are as wide as voxels
+FINE_EXTENT = 1.4
+FINE_ENTRIES = 8  # cells that such a splat touches
+MOST_FINE_ENTRIES = 1 << 22  # of a table; where they were more, cells are as wide as splats
+CAPTURED_RAMP = 0.1  # TableLevel.ramp of captured splats
 WIDEST_FITTED = 1.25  # typical radii: a surface's cells are as wide as its widest sample, up to this one
 MOST_ROWS = 8192  # of cells that are finer than the frame's
 
@@ -30,8 +35,9 @@ MOST_ROWS = 8192  # of cells that are finer than the frame's
 class GridRows:
     """The rows of the grids of all kinds of casters, one after another in flat arrays."""
 
-    def __init__(self, frame: Frame, kinds: list[list[Grid]]) -> None:
-        self.frame, self.levels = frame, len(kinds[0])
+    def __init__(self, frame: Frame, kinds: list[list[Grid]], fine: bool = False) -> None:
+        """fine: smoke is drawn into cells finer than its splats (`draws_smoke_finely`)."""
+        self.frame, self.levels, self.fine = frame, len(kinds[0]), fine
         self.grids = grids = [grid for kind in kinds for grid in kind]
         self.low = np.array([g.low for g in grids], np.float32)
         self.step = np.array([g.step for g in grids], np.float32)
@@ -49,7 +55,23 @@ class GridRows:
         self.latitude = np.concatenate([g.latitude for g in grids]).astype(np.float32)
 
 
-def coarsening(frame: Frame, kind: str, batches: Sequence[Casters]) -> float:
+def draws_smoke_finely(frame: Frame, batches: Sequence[Casters]) -> bool:
+    """Whether smoke is drawn into cells about a third as wide as its splats: shadows are then as sharp as these.
+
+    Not about a lamp within it, where splats are as wide as rows of latitude turn, nor where the frame's cells are too
+    wide for it, or entries too many.
+    """
+    smoke = [batch for batch in batches if batch.kind == "VOLUME"]
+    if not smoke or frame.full or FINE_ENTRIES * sum(map(len, smoke)) > MOST_FINE_ENTRIES:
+        return False
+    return all(
+        np.median(batch.reach) / distance_spans(frame, batch).farthest * HALF_EXTENT["VOLUME"] / FINE_EXTENT
+        >= frame.step
+        for batch in smoke
+    )
+
+
+def coarsening(frame: Frame, kind: str, batches: Sequence[Casters], fine: bool = False) -> float:
     """The ratio of the finest cells of a kind of casters to the frame's cells, at most 2.
 
     A level of smoke's cells is then SMOKE radii of most of its splats wide, and one of surfaces as wide as nearly all
@@ -63,7 +85,7 @@ def coarsening(frame: Frame, kind: str, batches: Sequence[Casters]) -> float:
     for batch in found:
         spans, reach = distance_spans(frame, batch), batch.reach
         width = (
-            SMOKE_CELL * float(np.median(reach))
+            (HALF_EXTENT["VOLUME"] / FINE_EXTENT if fine else SMOKE_CELL) * float(np.median(reach))
             if kind == "VOLUME"
             else ROUNDING_MARGIN * 2 * HALF_EXTENT[kind] * min(float(reach.max()), WIDEST_FITTED * spans.least)
         )
@@ -79,6 +101,11 @@ def _finer_octaves(frame: Frame) -> int:
     """Octaves by which cells may be finer than the frame's."""
     room = np.log2(MOST_ROWS / frame.rows)
     return int(np.clip(room if frame.parallel else min(room, np.log2(frame.step / FINEST_STEP)), 0, FINER_OCTAVES))
+
+
+def ramp_of(rows: GridRows, kind: str) -> float:
+    """TableLevel.ramp of a kind of casters: smoke sets in over as much of the ray as its splats are wide."""
+    return CAPTURED_RAMP if kind == "CAPTURED" else FINE_EXTENT if kind == "VOLUME" and rows.fine else 0.5
 
 
 @value_record
@@ -113,7 +140,8 @@ def level_of_splats(rows: GridRows, batch: Casters, distance: np.ndarray, spans:
     share a level, that of the nearest (in a batch whose distances are all alike, all do), and the samples of surfaces
     share that of a wide one among them.
     """
-    angle = np.float32(2 * HALF_EXTENT[batch.kind]) * np.maximum(batch.reach, np.float32(spans.least))
+    cells = 2 * FINE_EXTENT if rows.fine and batch.kind == "VOLUME" else 1.0
+    angle = np.float32(2 * HALF_EXTENT[batch.kind] / cells) * np.maximum(batch.reach, np.float32(spans.least))
     if not rows.frame.parallel:
         base = np.full_like(distance, spans.nearest)
         if spans.farthest > spans.nearest:

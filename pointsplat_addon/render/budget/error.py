@@ -17,7 +17,8 @@ class Errors:
 
     Where samples have the variance v, the means of all n and of the first m differ by v (1 / m - 1 / n), and the
     former lies v / n from the limit: that is m / (n - m) of the difference. Samples that are spread evenly do better
-    (EVENLY), but on edges, which are what is left, not by much.
+    (EVENLY), but on edges, which are what is left, not by much. What all pixels have in common is one number, and its
+    difference may be nothing by chance: the largest of the last checkpoints' counts.
     """
 
     def __init__(self) -> None:
@@ -34,10 +35,14 @@ class Errors:
         mean = frame.mean()
         earlier = [(m, picture) for m, picture in self._means if m <= MOST_OF_ALL * n]
         if earlier:
-            m, before = earlier[-1]
+            moved, common = [], []
+            for m, before in earlier:
+                difference = (mean - before)[..., :3].astype(np.float64) * np.sqrt(m / (n - m))
+                common.append(difference.mean(axis=(0, 1)))
+                moved.append(difference - common[-1])
             counts = frame.counts()
             fresh = np.broadcast_to(np.asarray(counts) > self._counted, (*mean.shape[:2], 1))[..., 0]
-            squares = ((mean - before)[..., :3].astype(np.float64) ** 2).mean(axis=-1) * (m / (n - m))
+            squares = (moved[-1] ** 2).mean(axis=-1) + np.square(common).mean(axis=-1).max()
             self._squares = squares if self._squares is None else np.where(fresh, squares, self._squares)
             self._counted, self._unseen = counts, missed_edge_error(mean, counts, frame.in_focus())
         if is_checkpoint(n):

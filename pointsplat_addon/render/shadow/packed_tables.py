@@ -97,7 +97,7 @@ def pack(tables: Sequence[ShadowTable | None], texture_size: int = 16384) -> Pac
             texel[0] = level.grid.low, level.grid.step, len(level.grid.count), KINDS.index(level.kind)
             texel[1] = coded(base * (1, 1, 4, 1 if colored else 2))
             texel[2, 0] = level.grid.wraps
-            texel[2, 1:3] = level.distance.min(initial=np.inf), level.distance.max(initial=0)
+            texel[2, 1:] = level.distance.min(initial=np.inf), level.distance.max(initial=0), level.ramp
             parts += blocks
             texels += int(sizes.sum())
         if table is not None and table.emitter.shape != "POINT":

@@ -50,9 +50,10 @@ int ps_shadow_next(int light, int i, int levels, PsReceiver p, PsTap tap)
   bool holds = false;
   while (i < levels && !holds) {
     int column = PS_SHADOW_HEAD + 3 * i;
-    float width = texelFetch(ps_shadow_lights, ivec2(column, light), 0).y * (p.parallel ? 1.0 : p.at);
-    vec2 ends = texelFetch(ps_shadow_lights, ivec2(column + 2, light), 0).yz;
-    float near = tap.near > 0.0 ? min(tap.near, tap.near_opaque - PS_SHADOW_OVERLAP_CELLS * width) : -1e30;
+    float cell = texelFetch(ps_shadow_lights, ivec2(column, light), 0).y * (p.parallel ? 1.0 : p.at);
+    vec3 ends = texelFetch(ps_shadow_lights, ivec2(column + 2, light), 0).yzw;
+    float width = cell * max(ends.z, 1.0);
+    float near = tap.near > 0.0 ? min(tap.near, tap.near_opaque - PS_SHADOW_OVERLAP_CELLS * cell) : -1e30;
     holds = tap.far > ends.x - width && near < ends.y + width;
     i += holds ? 0 : 1;
   }

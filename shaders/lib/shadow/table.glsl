@@ -28,7 +28,6 @@
 #define PS_RECTANGLE 2
 #define PS_OPAQUE 0.0
 #define PS_VOLUME 2.0
-#define PS_SHADOW_CAPTURED_RAMP 0.1
 
 #ifdef PS_SHADOW_COLORED
 #define PsDepth vec3
@@ -40,6 +39,7 @@ struct PsShadowLevel {
   float low, step, rows, kind;
   int row_base, mask_base, link_base, entry_base;
   bool wraps;
+  float ramp;
 };
 
 struct PsShadowEntry {
@@ -96,7 +96,7 @@ PsShadowLevel ps_shadow_level(int light, int level)
   vec4 bases = texelFetch(ps_shadow_lights, ivec2(column + 1, light), 0);
   vec4 rest = texelFetch(ps_shadow_lights, ivec2(column + 2, light), 0);
   return PsShadowLevel(grid.x, grid.y, grid.z, grid.w, ps_shadow_index(bases.x), ps_shadow_index(bases.y),
-                       ps_shadow_index(bases.z), ps_shadow_index(bases.w), rest.x > 0.5);
+                       ps_shadow_index(bases.z), ps_shadow_index(bases.w), rest.x > 0.5, rest.w);
 }
 
 // First entry of a cell and one past the last; the same where it holds none.
@@ -168,7 +168,7 @@ float ps_shadow_plane(PsReceiver p, vec2 cell)
 PsDepth ps_shadow_look_up(PsShadowLevel level, PsReceiver p, PsTap tap)
 {
   float width = level.step * (p.parallel ? 1.0 : p.at);
-  float ramp = width * (level.kind > PS_VOLUME ? PS_SHADOW_CAPTURED_RAMP : 0.5);
+  float ramp = width * level.ramp;
   float place = (tap.latitude - level.low) / level.step;
   float bias = width * PS_SHADOW_BIAS / max(abs(dot(p.normal, p.ray)), PS_SHADOW_STEEPEST);
   PsDepth result = PsDepth(0.0);

@@ -223,7 +223,7 @@ def test_the_estimate_sees_the_shadows_of_wide_lamps(name, monkeypatch):
 
 def test_an_error_that_is_one_number_is_not_taken_for_less(monkeypatch):
     """A camera in smoke under one wide lamp: all of the picture is too bright or too dark, and now and then right."""
-    assert min(ratios(under_wide_lamps(CASES["in_smoke"]()), monkeypatch)) > 0.5  # measured 0.95 to 6.3
+    assert min(ratios(under_wide_lamps(CASES["in_smoke"]()), monkeypatch)) > 0.5  # measured 0.53
 
 
 @pytest.mark.parametrize("number", range(4))
