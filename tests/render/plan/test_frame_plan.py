@@ -10,7 +10,7 @@ from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.device.clock import Cancelled, Clock
-from pointsplat_addon.render.plan.frame_plan import UNLIT_OUT_OF_FOCUS, FramePlan, make_frame_plan
+from pointsplat_addon.render.plan.frame_plan import UNLIT, FramePlan, make_frame_plan
 from pointsplat_addon.render.plan.request import Request
 from scripts.scenes import indirect_cases
 from scripts.scenes.case import ALL_PASSES, Case
@@ -74,17 +74,21 @@ def test_a_cancelled_frame_is_not_planned():
         planned(case, case.request(), Clock(NullDevice(), cancelled=lambda: True))
 
 
-def test_depth_of_field_that_leaves_indirect_light_out_says_so():
-    """Lens Samples have it; what is in focus has it, and without light there is none to miss."""
+def test_a_picture_that_leaves_indirect_light_out_says_so():
+    """Depth of field and other techniques than the visibility buffer do; without light there is none to miss."""
     case = indirect_cases.in_a_corner()
     blurred = replace(case.camera, aperture=Aperture(0.3, 1.0))
 
     def told(camera=blurred, scene=case.scene, **settings) -> bool:
         request = replace(case.request(COMBINED, 16), camera=camera, settings=replace(case.settings, **settings))
         found = planned(replace(case, scene=scene), request)
-        return UNLIT_OUT_OF_FOCUS in found.warnings
+        warned = any(warning.startswith(UNLIT) for warning in found.warnings)
+        assert not (warned and found.plan.indirect)
+        return warned
 
     assert told()
+    assert told(dof_method="LENS_SAMPLES")
+    assert told(case.camera, technique="EWA")
     assert not told(case.camera)
-    assert not told(dof_method="LENS_SAMPLES")
+    assert not told(technique="EWA", use_indirect=False)
     assert not told(scene=replace(case.scene, lights=(), world=World()))
