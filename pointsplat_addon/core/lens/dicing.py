@@ -49,7 +49,7 @@ def dice_triangles(
         least, most = blur.radius_range(np.maximum(depth.min(axis=1), near), np.maximum(depth.max(axis=1), near))
         keep = _may_be_seen(corners, camera, blur) & (most > IN_FOCUS) & np.isfinite(corners).all(axis=(1, 2))
         corners, weights, owner, depth, least = (a[keep] for a in (corners, weights, owner, depth, least))
-        scale = 1 / np.maximum(depth, 1e-300) if camera.perspective else np.ones_like(depth)
+        scale = 1 / np.maximum(depth, near) if camera.perspective else np.ones_like(depth)  # behind it: see below
         pixel = corners[:, :, :2] * (scale[:, :, None] * focal)
         edges = np.linalg.norm(pixel[:, [1, 2, 0]] - pixel[:, [2, 0, 1]], axis=2)
         # What reaches before the near plane has no size in the picture: it is cut by its size in space.
