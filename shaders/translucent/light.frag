@@ -6,7 +6,8 @@
 // PS_FUZZY: some are opaque (core/splat/painter.py), whose kernels are narrower by this factor. PS_CULL: some of these are not
 // drawn where they show their backs, PS_FUZZY_DISCONNECTED: some stand apart. PS_DEFOCUS: for the pass of what is out of focus,
 // render/passes/defocus/gather.py, PS_STRANDS: with pieces of strands. PS_MEDIA: some fill a volume. PS_AMONG_OPAQUE: something
-// opaque may stand among them. PS_CENTRES: they are looked at in pixels' centres alone.
+// opaque may stand among them. PS_CENTRES: they are looked at in pixels' centres alone. PS_INDIRECT: what surfaces receive from each
+// other is known; PS_PLACES: instead of light, where they are, as in indirect/group_points.frag.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/geometry/direction.glsl"
@@ -233,6 +234,26 @@ void main()
   // Light.
   int material = int(extent.w + 0.5);
   vec3 to_eye = ps_is_perspective() ? normalize(-p) : vec3(0.0, 0.0, 1.0);
+#ifdef PS_PLACES
+  bool receives = seen && (!medium || dot(facing, facing) > 0.5);
+  facing = dot(facing, facing) > 0.5 ? facing : to_eye;
+  facing = dot(ball || medium ? facing : normal, to_eye) < 0.0 ? -facing : facing;
+  vec4 look = texelFetch(ps_materials, ivec2(2, material), 0);
+#ifdef PS_SURFACE
+  float roughness = texelFetch(ps_surface, at, 0).x;
+#else
+  float roughness = look.z > 0.0 || look.w != 1.0 ? look.y : -1.0;
+#endif
+#ifdef PS_STRANDS
+  if (optics.z < -0.5 && optics.w > 0.5) {
+    vec3 along = normalize(a), outward = to_eye - dot(to_eye, along) * along;
+    facing = normalize(dot(outward, outward) > 1e-12 ? outward : to_eye);
+    roughness = -1.0;
+  }
+#endif
+  out_place = vec4(mat3(u.tree_from_view) * lit_position, receives ? d : 0.0);
+  out_up = vec4(mat3(u.tree_from_view) * facing, roughness);
+#else
   PsSurface surface = ps_material(material);
 #ifdef PS_COLOR
   surface.base = texelFetch(ps_color, at, 0).rgb;
@@ -259,6 +280,10 @@ void main()
 #endif
 #endif
   surface.emission = medium ? vec3(0.0) : emission;
+#ifdef PS_INDIRECT
+  ps_gathered = texelFetch(ps_gathered_light, here, 0);
+  ps_mirrored = texelFetch(ps_mirrored_light, here, 0);
+#endif
   if (lit_as_surface) {
     facing = dot(facing, facing) > 0.5 ? facing : to_eye;
     facing = dot(ball || medium ? facing : normal, to_eye) < 0.0 ? -facing : facing;
@@ -348,6 +373,7 @@ void main()
 #endif
 #ifdef PS_TINT
   out_tint = vec4(tint, 0.0);
+#endif
 #endif
 #endif
 }

@@ -6,6 +6,7 @@ Passes that are not blurred come from an auxiliary picture without a lens.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,13 +14,16 @@ from ...core.lod.criteria import NEIGHBOUR_EXTENT
 from ...core.scene.camera import Camera
 from ...core.splat.blur import OUT_OF_FOCUS, defocus_blur
 from ..device.protocol import Device, Texture
+from ..indirect.known_sites import Slices
+from ..indirect.light import IndirectLight
 from ..passes.defocus.gather import Defocus, defocus_program
 from ..passes.defocus.tile_lists import tile_lists
 from ..passes.output.adaptive import Adaptive
-from ..passes.translucent.light import light_program
+from ..passes.translucent.light import light_program, places_program
 from ..passes.translucent.lit_splats import LitSplats
 from ..passes.uniforms import SampleView
 from ..plan.plan import Plan
+from .indirect.light import GroupsInIndirectLight
 from .targets import Targets
 from .uploads.uploads import Uploads
 
@@ -51,11 +55,13 @@ class OutOfFocus:
         targets: Targets,
         transparent: bool,
         run: Callable[[str, Callable[[], None]], None],
+        indirect: IndirectLight | None = None,
+        slices: Slices | None = None,
     ) -> None:
         """Prepares to light the splats.
 
-        `transparent`: whether the film is. `run` times each pass. Raises DeviceError if there are more splats than a
-        texture holds.
+        `transparent`: whether the film is. `run` times each pass. `indirect`: light that they receive from each other,
+        gathered in `slices`, or estimated. Raises DeviceError if there are more splats than a texture holds.
         """
         assert plan.translucent is not None
         assert uploads.translucent is not None
@@ -64,8 +70,15 @@ class OutOfFocus:
         self.transparent, self._run = transparent, run
         self.gathered = 0  # samples in the picture
         self.tiles: Defocus | None = None
-        program = light_program(plan.translucent, plan.lighting, plan.materials)
-        self.lit = LitSplats(device, plan.translucent, program, self.splats.count)
+        options = plan.translucent
+        if options.gathered and (indirect is None or indirect.media is None):
+            options = replace(options, gathered=False)
+        program = light_program(options, plan.lighting, plan.materials)
+        self.lit = LitSplats(device, options, program, self.splats.count)
+        self._indirect, self._surfaces = indirect, None
+        if options.received and indirect is not None:
+            self._surfaces = GroupsInIndirectLight(device, indirect, uploads, plan.variant, slices)
+            self._places = places_program(options)
 
     def gather(
         self,
@@ -104,7 +117,42 @@ class OutOfFocus:
         self._run("defocus", lambda: tiles.draw(program, self.targets.seen_target, record, self.lit.textures, textures))
 
     def _light(self, view: SampleView) -> None:
-        self.lit.light(view, len(self.uploads.scene.lights), {**self.splats.textures, **self.uploads.shading})
+        textures, gathered = {**self.splats.textures, **self.uploads.shading}, {}
+        if self._indirect is not None and (on := self._indirect.on_media(view.camera.view_from_world)) is not None:
+            gathered, textures["ps_medium_light_of"] = on
+
+        def light(received: dict[str, Texture]) -> None:
+            self.lit.light(view, len(self.uploads.scene.lights), textures | received, **gathered)
+
+        if self._surfaces is None:
+            light({})
+        else:
+            self._surfaces.received_by(view, *self._places_of_splats(view), light)
+
+    def _places_of_splats(self, view: SampleView) -> tuple[np.ndarray, np.ndarray]:
+        """Places and normals of all splats, (N, 4) float32 each, as shaders/indirect/group_points.frag has them."""
+        device, program, held = self.device, self._places, []
+        turned = np.eye(4)
+        turned[:3, :3] = view.world_from_view[:3, :3]
+        try:
+            held += [device.texture(self.lit.target.colors[0].size, "RGBA32F") for _ in range(2)]
+            held.append(device.target(held[:2]))
+            names = {name for _, name in program.samplers}
+            textures = {**self.splats.textures, **self.uploads.shading}
+            record = view.record_of(
+                program.block, count=self.lit.count, low_pass_scale=1.0, tree_from_view=turned,
+                light_count=0,
+            )  # fmt: skip
+            device.clear(held[2])
+            device.draw(
+                program, held[2], uniforms=record,
+                textures={name: texture for name, texture in textures.items() if name in names},
+            )  # fmt: skip
+            place, up = (device.read(texture).reshape(-1, 4)[: self.lit.count] for texture in held[:2])
+        finally:
+            for item in reversed(held):
+                item.release()
+        return place, up
 
     def _list(self, view: SampleView) -> None:
         """Lists the lit splats by the tiles of the picture that they overlap."""
@@ -117,5 +165,7 @@ class OutOfFocus:
 
     def release(self) -> None:
         self.lit.release()
+        if self._surfaces is not None:
+            self._surfaces.release()
         if self.tiles is not None:
             self.tiles.release()

@@ -163,11 +163,14 @@ class Frame:
             self.adaptive = self._own(Adaptive(device, self.targets.sums[0], threshold, gather, centre))
         self.shading = Shading(device, frame_plan.scene, plan, request, self.uploads, self.targets, self.backdrop)
         self._indirect = None
-        if plan.indirect or plan.gathers_media:
+        if plan.gathers:
             self._indirect = self._kept_light() if self._known is None else self._known
         if plan.defocus:
             transparent = frame_plan.scene.transparent
-            self.out_of_focus = self._own(OutOfFocus(device, plan, self.uploads, self.targets, transparent, run))
+            slices = self.slices if self._known is None else None
+            self.out_of_focus = self._own(
+                OutOfFocus(device, plan, self.uploads, self.targets, transparent, run, self._indirect, slices)
+            )
         elif plan.translucent is not None:
             samples = request.samples * max(plan.sub_samples, 1)
             on_media = self._indirect if plan.translucent.gathered else None

@@ -264,9 +264,9 @@ def make_frame_plan(
     some = _has_opaque(prepared) or prepared.out_of_focus is not None
     lacks_eye_dome = request.settings.use_eye_dome and picture and some and not plan.eye_dome
     occlusion = request.term is not None and request.term.light == OCCLUSION
-    why_unlit = absences.indirect or ("" if prepared.out_of_focus is None else "something is out of focus")
-    lacks_indirect = request.settings.use_indirect and bool(why_unlit) and picture and reflects and some
+    lacks_indirect = request.settings.use_indirect and bool(absences.indirect) and picture and reflects and some
     lacks_indirect = lacks_indirect and sends_light(scene, request.settings.bounces) and not occlusion
+    open_everywhere = absences.indirect or "something is out of focus"
     lacks_occlusion = occlusion and picture and some and not plan.indirect
     not_trained = settings.captured_blending == "TRAINED" and bool(prepared.captured) and picture and linear
     radius = filter_reach(neighbourhood(request.settings)) if sub_samples else plan.splat_radius(prepared.largest)
@@ -292,8 +292,8 @@ def make_frame_plan(
             *((technique.warning,) if technique.warning else ()),
             *shown_alike(scene, technique.name),
             *((f"Eye-dome lighting is left out: {absences.eye_dome}",) if lacks_eye_dome else ()),
-            *((UNLIT + why_unlit,) if lacks_indirect else ()),
-            *((f"Ambient Occlusion is 1 wherever something is: {why_unlit}",) if lacks_occlusion else ()),
+            *((UNLIT + absences.indirect,) if lacks_indirect else ()),
+            *((f"Ambient Occlusion is 1 wherever something is: {open_everywhere}",) if lacks_occlusion else ()),
             *((f"Captured splats are blended in linear light, not as trained: {linear}",) if not_trained else ()),
             *prepared.warnings,
             *unsupported,

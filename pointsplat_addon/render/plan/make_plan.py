@@ -292,10 +292,10 @@ def _indirect(view: ViewToPlan, kinds: _Kinds) -> bool:
 
 def _gathers(view: ViewToPlan) -> bool:
     """Whether something that is drawn may receive light that is not of lamps alone."""
-    if view.absences.indirect or not view.picture or view.defocus:
+    if view.absences.indirect or not view.picture:
         return False
     if _occlusion(view.request.term):
-        return True  # whatever surfaces reflect, and whatever shines
+        return not view.defocus  # whatever surfaces reflect, and whatever shines
     return view.reflects and sends_light(view.scene, view.request.settings.bounces)
 
 
@@ -396,11 +396,17 @@ def _translucent(view: ViewToPlan, kinds: _Kinds) -> TranslucentOptions | None:
     return replace(
         found,
         gathered=found.media and _gathers(view) and (term is None or (term.light == VOLUME and not term.color)),
+        received=view.defocus and any(map(_has_surfaces, clouds)) and _gathers(view) and (term is None or term.gathers),
         mattes=view.mattes and found.captured,
         depth=wanted and found.captured,
         trained=found.captured and not (view.absences.trained or _occlusion(term)),
         term=view.request.term,
     )
+
+
+def _has_surfaces(cloud: PointCloud) -> bool:
+    """Whether some splats of a cloud are lit as surfaces are."""
+    return cloud.extinction is None or cloud.shading_normal is not None
 
 
 def _captured_light(view: ViewToPlan) -> tuple[tuple[int, CapturedLighting], ...]:

@@ -56,6 +56,13 @@ class Plan:
     defocus: bool = False  # translucent splats are drawn together with what is out of focus: passes/defocus/gather.py
 
     @property
+    def gathers(self) -> bool:
+        """Whether something that is drawn receives light from other things."""
+        return self.indirect or (
+            self.translucent is not None and (self.translucent.gathered or self.translucent.received)
+        )
+
+    @property
     def gathers_media(self) -> bool:
         """Whether what fills volumes gathers light."""
         return self.translucent is not None and self.translucent.gathered

@@ -105,6 +105,24 @@ class GroupsInIndirectLight:
         self._mirrored = self._reflected(view, lists, listed, groups, shown)
         return lists.received | {"ps_mirrored_light": self._mirrored}
 
+    def received_by(
+        self, view: SampleView, place: np.ndarray, up: np.ndarray, draw: Callable[[dict[str, Texture]], None]
+    ) -> None:
+        """Calls `draw` with what N splats receive, as `gather` returns it, one texel each in their order.
+
+        place, up: (N, 4) float32, as shaders/indirect/group_points.frag writes them; what has no depth receives nothing.
+        """
+        (width, height), camera = view.size, view.camera
+        seen = place[:, :3].astype(np.float64) @ view.world_from_view[:3, :3]
+        ahead = np.maximum(place[:, 3:], 1e-30) if camera.perspective else np.ones_like(place[:, 3:])
+        at = seen[:, :2] * camera.pixel_from_view()[:2] / ahead + np.asarray(view.principal_point)
+        x, y = (
+            np.clip(np.floor(of), 0, side - 1).astype(np.int64) for of, side in zip(at.T, (width, height), strict=True)
+        )
+        eye = view.world_from_view[:3, 3] - self._light.origin
+        groups = Groups(eye, place[:, :3] + eye, up[:, :3], place[:, 3], y * width + x)
+        self._lit(view, groups, up[:, 3], directions_to_eye(view, place[:, :3]), draw, share=True)
+
     def _lit(
         self,
         view: SampleView,
@@ -112,8 +130,10 @@ class GroupsInIndirectLight:
         roughness: np.ndarray,
         to_eye: np.ndarray,
         draw: Callable[[dict[str, Texture]], None],
+        share: bool = False,
     ) -> None:
-        """Calls `draw` with what groups that are seen by way of mirrors receive, as `gather` returns it; see Lit."""
+        """Calls `draw` with what groups that are seen by way of mirrors receive, as `gather` returns it; see Lit.
+        `share`: as of _receive."""
         count, device = len(groups.depth), self._device
         place = np.column_stack([groups.position - groups.eye, groups.depth]).astype(np.float32)
         up = np.column_stack([groups.normal, roughness]).astype(np.float32)
@@ -122,7 +142,7 @@ class GroupsInIndirectLight:
         listed = device.texture(size, "RG32F", data)
         lists = _Lists(device, size, False, (paged(place, 4)[1], paged(up, 4)[1]))
         try:
-            self._receive(view, lists, listed, groups, place, up, to_eye, share=False)
+            self._receive(view, lists, listed, groups, place, up, to_eye, share)
             draw(lists.received)
         finally:
             listed.release()

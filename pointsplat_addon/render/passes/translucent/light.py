@@ -53,15 +53,17 @@ def _sample_fields(lighting: tuple[str, ...]) -> Fields:
     return SAMPLE_FIELDS if "PS_SHADOW_SAMPLE" in lighting else ()
 
 
+LIST_FIELDS: Fields = (
+    ("int", "count"),  # of the splats in the list
+    ("float", "low_pass_scale"),  # of the low-pass of splats that are not particles
+)
+
+
 def _light_block(options: TranslucentOptions, lighting: tuple[str, ...]) -> Block:
     """The uniforms of the pass `light`."""
-    own: Fields = (
-        ("int", "count"),  # of the splats in the list
-        ("float", "low_pass_scale"),  # of the low-pass of splats that are not particles
-    )
     lens = LENS_FIELDS if options.defocus else ()
     gathered = GATHERED_FIELDS if options.gathered else ()
-    return block("Light", CAMERA_FIELDS, own, LIGHT_FIELDS, lens, gathered, _sample_fields(lighting))
+    return block("Light", CAMERA_FIELDS, LIST_FIELDS, LIGHT_FIELDS, lens, gathered, _sample_fields(lighting))
 
 
 def _reach_block(lighting: tuple[str, ...]) -> Block:
@@ -84,9 +86,10 @@ def light_program(
     read += ("share",) if options.defocus and options.fuzzy else ()
     read += tuple(f"reach_{i}" for i in range(_reach_textures(reached, colored)))
     read += ("medium_light_of",) if options.gathered else ()
+    read += ("gathered_light", "mirrored_light") if options.received else ()
     width = (("PS_MEDIA_WIDTH", str(MEDIA_WIDTH)),) if options.gathered else ()
     named = {"PS_MEDIA": options.media, "PS_GATHERED_MEDIUM": options.gathered}
-    named |= {"PS_AMONG_OPAQUE": options.fronts}
+    named |= {"PS_AMONG_OPAQUE": options.fronts, "PS_INDIRECT": options.received}
     named |= {"PS_KERNELS": options.kernels, "PS_HOLDOUT": options.holdout, "PS_CULL": options.cull}
     named |= {
         "PS_FUZZY_DISCONNECTED": options.disconnected,
@@ -101,6 +104,27 @@ def light_program(
         outputs=tuple(("vec4", f"out_{name}") for name in lit_outputs(options)),
         defines=(*lighting_defines(lighting), *known, *width, *_fuzzy_defines(options, lighting),
                  *((name, "1") for name in (*materials, *(name for name, on in named.items() if on)))),
+    )  # fmt: skip
+
+
+def places_program(options: TranslucentOptions) -> Interface:
+    """Returns the program that tells where the splats of the draw list are that are lit as surfaces, as
+    shaders/indirect/group_points.frag does of groups."""
+    known = {name: on for name, on in options.attributes if name in ("surface", "shading_normal")}
+    read = ("order", "instances", "position", "extent", "optics", "materials")
+    read += tuple(name for name, on in known.items() if on)
+    named = {f"PS_{name.upper()}": on for name, on in known.items()}
+    named |= {
+        "PS_MEDIA": options.media,
+        "PS_DEFOCUS": options.defocus,
+        "PS_STRANDS": options.strands,
+        "PS_PLACES": True,
+    }
+    return Interface(
+        "places", fragment="translucent/light.frag",
+        block=block("Places", CAMERA_FIELDS, LIST_FIELDS, LIGHT_FIELDS, LENS_FIELDS, (("mat4", "tree_from_view"),)),
+        samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in read), outputs=(("vec4", "out_place"), ("vec4", "out_up")),
+        defines=(*_fuzzy_defines(options, ()), *((name, "1") for name, on in named.items() if on)),
     )  # fmt: skip
 
 

@@ -36,6 +36,7 @@ class TranslucentOptions:
     trained: bool = False  # they are blended in display values, as training did, over the world alone
     term: Term | None = None  # of light, that is drawn alone; None: all of it
     mattes: bool = False  # meshes stand for the surfaces of some captured splats
+    received: bool = False  # what surfaces among them receive from each other and the sky is known
 
     @property
     def centred(self) -> bool:
