@@ -7,7 +7,7 @@
 // drawn where they show their backs, PS_FUZZY_DISCONNECTED: some stand apart. PS_DEFOCUS: for the pass of what is out of focus,
 // render/passes/defocus/gather.py, PS_STRANDS: with pieces of strands. PS_MEDIA: some fill a volume. PS_AMONG_OPAQUE: something
 // opaque may stand among them. PS_CENTRES: they are looked at in pixels' centres alone. PS_INDIRECT: what surfaces receive from each
-// other is known; PS_PLACES: instead of light, where they are, as in indirect/group_points.frag.
+// other is known; PS_PLACES: instead of light, where they are, as in indirect/group_points.frag, with the negative depth of backs.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/geometry/direction.glsl"
@@ -237,7 +237,8 @@ void main()
 #ifdef PS_PLACES
   bool receives = seen && (!medium || dot(facing, facing) > 0.5);
   facing = dot(facing, facing) > 0.5 ? facing : to_eye;
-  facing = dot(ball || medium ? facing : normal, to_eye) < 0.0 ? -facing : facing;
+  bool shows_back = dot(ball || medium ? facing : normal, to_eye) < 0.0;
+  facing = shows_back ? -facing : facing;
   vec4 look = texelFetch(ps_materials, ivec2(2, material), 0);
 #ifdef PS_SURFACE
   float roughness = texelFetch(ps_surface, at, 0).x;
@@ -249,9 +250,10 @@ void main()
     vec3 along = normalize(a), outward = to_eye - dot(to_eye, along) * along;
     facing = normalize(dot(outward, outward) > 1e-12 ? outward : to_eye);
     roughness = -1.0;
+    shows_back = false;
   }
 #endif
-  out_place = vec4(mat3(u.tree_from_view) * lit_position, receives ? d : 0.0);
+  out_place = vec4(mat3(u.tree_from_view) * lit_position, receives ? (shows_back ? -d : d) : 0.0);
   out_up = vec4(mat3(u.tree_from_view) * facing, roughness);
 #else
   PsSurface surface = ps_material(material);

@@ -7,19 +7,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
+from ...core.indirect.closed import is_closed
 from ...core.lod.criteria import NEIGHBOUR_EXTENT
 from ...core.scene.camera import Camera
+from ...core.scene.scene import Scene
 from ...core.splat.blur import OUT_OF_FOCUS, defocus_blur
+from ..cache.keys import Key, Kind
+from ..cache.store import Store
 from ..device.protocol import Device, Texture
 from ..indirect.known_sites import Slices
 from ..indirect.light import IndirectLight
 from ..passes.defocus.gather import Defocus, defocus_program
 from ..passes.defocus.tile_lists import tile_lists
 from ..passes.output.adaptive import Adaptive
-from ..passes.translucent.light import light_program, places_program
+from ..passes.translucent.light import instances_of_rows, light_program, places_program
 from ..passes.translucent.lit_splats import LitSplats
 from ..passes.uniforms import SampleView
 from ..plan.plan import Plan
@@ -44,6 +49,24 @@ def in_focus(camera: Camera, plan: Plan, largest: float) -> tuple[float, float]:
     return max(camera.near, near), min(camera.far, far)
 
 
+def seen_from_outside(scene: Scene, camera: Camera, instances: np.ndarray, store: Store) -> np.ndarray:
+    """Returns which instances (K,) int are closed meshes in whose box the camera is not, (K,) bool."""
+    eye = np.linalg.inv(camera.view_from_world)[:3, 3]
+    geometry, matrices = scene.instances.geometry[instances], scene.instances.world_from_object[instances]
+    found = np.zeros(len(instances), bool)
+    for row in np.unique(geometry).tolist():
+        mesh, rows = scene.geometries[row].mesh, np.flatnonzero(geometry == row)
+        if mesh is None or len(mesh.position) == 0:
+            continue
+        if store.lookup(Key(Kind.IS_CLOSED, mesh.key), partial(is_closed, mesh)):
+            ends = np.stack([mesh.position.min(axis=0), mesh.position.max(axis=0)]).astype(np.float64)
+            corners = np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)
+            placed = corners @ matrices[rows, :3, :3].transpose(0, 2, 1) + matrices[rows, None, :3, 3]
+            within = ((eye > placed.min(axis=1)) & (eye < placed.max(axis=1))).all(axis=1)
+            found[rows] = ~(within & camera.perspective)
+    return found
+
+
 class OutOfFocus:
     """Draws the splats of one picture that are out of focus, together with the translucent ones."""
 
@@ -55,13 +78,15 @@ class OutOfFocus:
         targets: Targets,
         transparent: bool,
         run: Callable[[str, Callable[[], None]], None],
+        store: Store,
         indirect: IndirectLight | None = None,
         slices: Slices | None = None,
     ) -> None:
         """Prepares to light the splats.
 
-        `transparent`: whether the film is. `run` times each pass. `indirect`: light that they receive from each other,
-        gathered in `slices`, or estimated. Raises DeviceError if there are more splats than a texture holds.
+        `transparent`: whether the film is. `run` times each pass. `store`: for what is known of the scene. `indirect`:
+        light that they receive from each other, gathered in `slices`, or estimated. Raises DeviceError if there are
+        more splats than a texture holds.
         """
         assert plan.translucent is not None
         assert uploads.translucent is not None
@@ -75,7 +100,7 @@ class OutOfFocus:
             options = replace(options, gathered=False)
         program = light_program(options, plan.lighting, plan.materials)
         self.lit = LitSplats(device, options, program, self.splats.count)
-        self._indirect, self._surfaces = indirect, None
+        self._indirect, self._surfaces, self._store = indirect, None, store
         if options.received and indirect is not None:
             self._surfaces = GroupsInIndirectLight(device, indirect, uploads, plan.variant, slices)
             self._places = places_program(options)
@@ -149,9 +174,16 @@ class OutOfFocus:
                 textures={name: texture for name, texture in textures.items() if name in names},
             )  # fmt: skip
             place, up = (device.read(texture).reshape(-1, 4)[: self.lit.count] for texture in held[:2])
+            order = device.read(textures["ps_order"]).reshape(-1, 2)[: self.lit.count]
         finally:
             for item in reversed(held):
                 item.release()
+        # Backs of bodies are hidden, or seen past the front by parts of the lens: within them all would be dark.
+        backs = np.flatnonzero(place[:, 3] < 0)
+        instances, of_each = np.unique(instances_of_rows(order[backs]), return_inverse=True)
+        outside = seen_from_outside(self.uploads.scene, view.camera, instances, self._store)
+        up[backs[outside[of_each]], :3] *= -1
+        place[:, 3] = np.abs(place[:, 3])
         return place, up
 
     def _list(self, view: SampleView) -> None:

@@ -169,7 +169,17 @@ class Frame:
             transparent = frame_plan.scene.transparent
             slices = self.slices if self._known is None else None
             self.out_of_focus = self._own(
-                OutOfFocus(device, plan, self.uploads, self.targets, transparent, run, self._indirect, slices)
+                OutOfFocus(
+                    device,
+                    plan,
+                    self.uploads,
+                    self.targets,
+                    transparent,
+                    run,
+                    self.renderer.store,
+                    self._indirect,
+                    slices,
+                )
             )
         elif plan.translucent is not None:
             samples = request.samples * max(plan.sub_samples, 1)

@@ -141,6 +141,7 @@ EXPECTED = {
     "visibility buffer, a far crowd": "cover background " + GROUPED,
     "visibility buffer, polygons, eye-dome lighting": "polygons background eye+dome " + GROUPED,
     "indirect light in a corner": "shadow+maps light+tree gather polygons background " + GROUPED,
+    "indirect light in a corner, out of focus": "shadow+maps light+tree gather polygons light tiles defocus " + GROUPED,
     "indirect light among balls and strands": "light+tree gather cover polygons lines background " + GROUPED,
     "indirect light under smoke": "shadows shadow+maps light+tree gather polygons reach order background "
     + GROUPED

@@ -47,6 +47,7 @@ from tests.support.leave_out.scenes import (
     mixed_materials,
     normals,
     one_light,
+    out_of_focus,
     painted_picture,
     pane,
     picture_only,
@@ -226,6 +227,7 @@ ROWS: dict[str, Row] = {
         lambda: with_settings(solid_cases.cube(), technique="VISIBILITY", use_eye_dome=True)
     ),
     "indirect light in a corner": Row(indirect_cases.in_a_corner),
+    "indirect light in a corner, out of focus": Row(lambda: out_of_focus(indirect_cases.in_a_corner()), samples=4),
     "indirect light among balls and strands": Row(indirect_cases.among_balls_and_strands),
     "indirect light under smoke": Row(indirect_cases.under_smoke),
     "indirect light among mirrors": Row(indirect_cases.among_mirrors),

@@ -268,6 +268,11 @@ def through_a_lens(method: str) -> Case:
     return with_settings(replace(case, camera=replace(case.camera, aperture=Aperture(0.3, 3.0))), dof_method=method)
 
 
+def out_of_focus(case: Case) -> Case:
+    """All of it, sharp at a distance of one."""
+    return replace(case, camera=replace(case.camera, aperture=Aperture(0.3, 1.0)))
+
+
 def before_a_picture() -> Case:
     """Points in focus before a picture of the world that is not."""
     case = lit_cases.environment()

@@ -110,7 +110,8 @@ class GroupsInIndirectLight:
     ) -> None:
         """Calls `draw` with what N splats receive, as `gather` returns it, one texel each in their order.
 
-        place, up: (N, 4) float32, as shaders/indirect/group_points.frag writes them; what has no depth receives nothing.
+        place, up: (N, 4) float32, as shaders/indirect/group_points.frag writes them; what has no depth receives
+        nothing.
         """
         (width, height), camera = view.size, view.camera
         seen = place[:, :3].astype(np.float64) @ view.world_from_view[:3, :3]

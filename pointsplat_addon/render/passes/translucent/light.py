@@ -43,6 +43,11 @@ def draw_list_rows(texel: np.ndarray, instance: np.ndarray) -> np.ndarray:
     return rows
 
 
+def instances_of_rows(rows: np.ndarray) -> np.ndarray:
+    """Returns the instance of each row of a draw list (N, 2), (N,) int64."""
+    return rows[:, 1].astype(np.int64) >> 2
+
+
 GATHERED_FIELDS: Fields = (
     ("mat4", "blocks_from_view"),
     ("ivec4", "medium_blocks"),  # along each axis
@@ -123,7 +128,8 @@ def places_program(options: TranslucentOptions) -> Interface:
     return Interface(
         "places", fragment="translucent/light.frag",
         block=block("Places", CAMERA_FIELDS, LIST_FIELDS, LIGHT_FIELDS, LENS_FIELDS, (("mat4", "tree_from_view"),)),
-        samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in read), outputs=(("vec4", "out_place"), ("vec4", "out_up")),
+        samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in read),
+        outputs=(("vec4", "out_place"), ("vec4", "out_up")),
         defines=(*_fuzzy_defines(options, ()), *((name, "1") for name, on in named.items() if on)),
     )  # fmt: skip
 
