@@ -360,9 +360,11 @@ def main() -> int:
         save(quick(), arguments.rows)
         return 0
     failed: list[str] = []
-    if arguments.docs is None and (arguments.rows is None or arguments.known):
-        arguments.docs = ROOT / "docs" / "notes"
-    arguments.rows = arguments.rows or arguments.docs / "error_vs_time.json"
+    docs: Path | None = arguments.docs
+    if docs is None and (arguments.rows is None or arguments.known):
+        docs = ROOT / "docs" / "notes"
+    if docs is not None:
+        arguments.rows = arguments.rows or docs / "error_vs_time.json"
     if arguments.known:
         rows = json.loads(arguments.known.read_text(encoding="utf-8"))
     else:
@@ -370,12 +372,12 @@ def main() -> int:
         rows, failed = in_processes([name for name in there if not arguments.only or name in arguments.only], arguments)
     if failed:
         sys.stderr.write(f"failed, so that their rows are those of before: {', '.join(failed)}\n")
-    if arguments.docs is None:
+    if docs is None:
         return 1 if failed else 0
-    page = arguments.docs / "error_vs_time.md"
+    page = docs / "error_vs_time.md"
     page.write_text(written(page.read_text(encoding="utf-8"), rows), encoding="utf-8")
     if find_spec("matplotlib"):
-        images = arguments.docs / "images"
+        images = docs / "images"
         plot(rows, images / "error_vs_time.png")
         plot(rows, images / "error_vs_time_to_cycles.png", "to_cycles")
         plot_brief(rows, images / "error_vs_time_brief.png")

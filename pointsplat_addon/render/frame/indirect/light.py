@@ -71,6 +71,7 @@ class GroupsInIndirectLight:
             self._release_lists()
             self._lists = _Lists(device, listed.size, mirrors is not None)
         lists = self._lists
+        assert lists.place_target is not None
         device.clear(lists.place_target)
         turned = np.eye(4)
         turned[:3, :3] = view.world_from_view[:3, :3]
@@ -376,9 +377,10 @@ class _Lists:
         if mirrors:
             self.textures["rays"] = device.texture(size, "RGBA32F")
         rays = [self.textures["rays"]] if mirrors else []
-        self.place_target: Target = device.target([places, ups, *rays])
+        self.place_target: Target | None = device.target([places, ups, *rays]) if known is NOT_KNOWN else None
         self.light_target: Target = device.target([gathered, mirrored])
-        self._owned: list[Any] = [self.place_target, self.light_target, *self.textures.values()]
+        targets = [target for target in (self.place_target, self.light_target) if target is not None]
+        self._owned: list[Any] = [*targets, *self.textures.values()]
 
     @property
     def received(self) -> dict[str, Texture]:
