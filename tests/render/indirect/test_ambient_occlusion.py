@@ -289,5 +289,5 @@ def test_depth_of_field_says_that_it_has_none(method, because):
 def test_it_warns_of_nothing_where_it_is_there_or_not_asked_for():
     case = CASES["in_a_corner"]()
     assert not drawn(case)[2]["warnings"]
-    settings = replace(case.settings, technique="EWA")
+    settings = replace(case.settings, technique="EWA", use_indirect=False)
     assert not drawing.render(replace(case, settings=settings), frozenset({"combined"})).report["warnings"]
