@@ -26,7 +26,7 @@ SMOKE_CELL = 1.005 * 2 * HALF_EXTENT["VOLUME"]  # cells of smoke per radius of i
 # Half extent, in cells, of smoke that is drawn into finer ones (fine_smoke.py): they are as wide as voxels
 FINE_EXTENT = 1.4
 FINE_ENTRIES = 8  # cells that such a splat touches
-MOST_FINE_ENTRIES = 1 << 22  # of a table; where they were more, cells are as wide as splats
+MOST_FINE_ENTRIES = 10 << 20  # of a table; where they were more, cells are as wide as splats
 CAPTURED_RAMP = 0.1  # TableLevel.ramp of captured splats
 WIDEST_FITTED = 1.25  # typical radii: a surface's cells are as wide as its widest sample, up to this one
 MOST_ROWS = 8192  # of cells that are finer than the frame's
