@@ -25,7 +25,7 @@ def fine_entries(
     distance: np.ndarray,
     strength: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cells (E,) int32, distances (E,) float32 and optical depths (E,) or (E, 3) float32 of N splats of smoke.
+    """Returns cells (E,) int32, distances (E,) float32 and optical depths (E,) or (E, 3) float32 of N splats of smoke.
 
     level: (N,) int32, or (1,) for all; latitude, longitude, distance: (N,) float32; strength: (N,) or (N, 3) float32,
     optical mass over the squared distance, in steradians (of suns: in units^2). All splats are as wide as the widest
@@ -52,7 +52,9 @@ def fine_entries(
 
 
 def _steps(place: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of places in cells: the integer below, the step between cells, and how far from its middle, in cells."""
+    """Divides places along a row or a column, in cells: the middle of a cell below each (int32), the step of 1 / STEPS of
+    a cell from there in which the place lies (int32), and how far it is from the middle of the step, in cells
+    (float32)."""
     below = np.floor(place)
     between = STEPS * (place - below)
     step = np.minimum(between.astype(np.int32), STEPS - 1)

@@ -148,7 +148,7 @@ def why_no_indirect(settings: Settings, technique: str) -> str:
     """Returns why a picture has no indirect light; empty where it has, if there is any."""
     if not settings.use_indirect:
         return "indirect light is switched off"
-    return "" if technique == "VISIBILITY" else f"the technique {technique} has no groups for it"
+    return "" if technique == "VISIBILITY" else f"only the Visibility Buffer has it, and {technique} draws"
 
 
 def why_no_eye_dome(settings: Settings, technique: str, opaque: bool, out_of_focus: bool) -> str:

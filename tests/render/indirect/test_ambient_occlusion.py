@@ -271,14 +271,17 @@ def test_captured_splats_hold_all_that_shows_of_them(name):
 @pytest.mark.parametrize("technique", ["EWA", "IMAGE_SPACE", "PAINTER"])
 def test_other_techniques_say_that_they_have_none(technique):
     shown, pixels, report = drawn(with_scene(CASES["mixed"](), transparent=True), technique=technique)
-    said = f"Ambient Occlusion is 1 wherever something is: the technique {technique} has no groups for it"
+    said = f"Ambient Occlusion is 1 wherever something is: only the Visibility Buffer has it, and {technique} draws"
     assert said in report["warnings"]
     assert np.abs(shown - pixels["combined"][..., 3:]).max() < 2e-6  # measured 9.9e-7
 
 
 @pytest.mark.parametrize(
     ("method", "because"),
-    [("SPLAT", "something is out of focus"), ("LENS_SAMPLES", "the technique IMAGE_SPACE has no groups for it")],
+    [
+        ("SPLAT", "something is out of focus"),
+        ("LENS_SAMPLES", "only the Visibility Buffer has it, and IMAGE_SPACE draws"),
+    ],
 )
 def test_depth_of_field_says_that_it_has_none(method, because):
     shown, pixels, report = drawn(with_scene(through_a_lens(method), transparent=True), 4)
