@@ -52,9 +52,8 @@ def fine_entries(
 
 
 def _steps(place: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Divides places along a row or a column, in cells: the middle of a cell below each (int32), the step of 1 / STEPS of
-    a cell from there in which the place lies (int32), and how far it is from the middle of the step, in cells
-    (float32)."""
+    """Divides places along a row or a column, in cells: the middle of a cell below each (int32), in which step of
+    1 / STEPS of a cell from there it lies (int32), and how far from the middle of that step, in cells (float32)."""
     below = np.floor(place)
     between = STEPS * (place - below)
     step = np.minimum(between.astype(np.int32), STEPS - 1)
