@@ -16,7 +16,7 @@ from ..core.scene import scene as scene_module
 from ..core.scene import settings as settings_module
 from ..core.splat.pixel_radii import with_pixel_radii
 from ..render.budget.lighting import KnownLight, Lighting
-from ..render.budget.viewport import Moving, PixelPace, Refining, wait
+from ..render.budget.viewport import Moving, Pace, Refining, wait
 from ..render.device.protocol import DeviceError
 from ..render.frame.frame import Frame
 from ..render.plan.request import Request
@@ -32,7 +32,6 @@ LOG = logging.getLogger(__name__)
 STILL_SECONDS = 0.2  # without a change before the picture is refined
 NAVIGATION_SAMPLES = FEW.count  # of each pixel while the view moves: one lattice of the visibility buffer
 LEAST_PAUSE = 0.3  # seconds between two pictures of a still view for which pages come
-NAVIGATION_TOLERANCE = 4.0  # factor of the tolerance while the view moves: a sixteenth of the points
 
 
 class Viewport:
@@ -50,7 +49,7 @@ class Viewport:
         self._lighting: Lighting | None = None  # brings indirect light into a view that stands still
         self._known: KnownLight | None = None  # by which views are lit until then
         self._coarse = False
-        self._pace = PixelPace()
+        self._pace = Pace()
         self._changed_at = float("-inf")
         self._error = ""
         self._hasty = False  # the frame has few samples, for pages of scans are still to come
@@ -180,9 +179,7 @@ class Viewport:
         if self._coarse and settings.budget == "TIME":
             self._pacing = Moving(renderer, scene, request)
         elif self._coarse:
-            # The tolerance is one of the picture's pixels, whatever their size.
-            coarser = max(NAVIGATION_TOLERANCE / self._pace.times, 1.0)
-            coarse = replace(settings, tolerance=settings.tolerance * coarser)
+            coarse = replace(settings, tolerance=settings.tolerance * self._pace.tolerance)
             request = replace(
                 request,
                 camera=camera.with_coarser_pixels(self._pace.times),

@@ -94,7 +94,8 @@ def orbit_file(folder, path, full):
     bpy.context.scene.render.engine = "POINTSPLAT"
     bpy.context.preferences.view.smooth_view = 0
     if full:
-        module("render.budget.viewport").COARSEST_PIXELS = 1
+        paced = module("render.budget.viewport")
+        paced.STEPS = tuple(step for step in paced.STEPS if step[0] == 1)
         window, area, region, _ = viewport()
         with bpy.context.temp_override(window=window, area=area, region=region):
             bpy.ops.screen.screen_full_area(use_hide_panels=True)

@@ -16,20 +16,33 @@ from .pacing import MOST_SAMPLES
 from .protocol import SampleRenderer, Seconds
 from .watch import BelowError, InTime
 
-FRAME_SECONDS = 0.1  # that a picture takes at most while the view moves, unless its pixels were too coarse
-COARSEST_PIXELS = 4  # pixels of a view that stands still that one of the picture takes each way
-SPARE = 5.0  # times that a picture was faster than it need be, where one with four times as many pixels is drawn
+FRAME_SECONDS = 0.1  # that a picture takes at most while the view moves, unless it was too coarse
+# How coarse it is, from the finest: how many pixels of a view that stands still one of its own takes each way, and its
+# tolerance in pixels of a view that stands still, times that of the settings.
+STEPS = ((1, 1.0), (1, 2.0), (1, 4.0), (2, 4.0), (4, 4.0), (4, 6.0), (4, 8.0))
+FIRST = 2  # of these: with a sixteenth of the points
+# Times that a picture was faster than it need be where the next finer one is drawn: four times as many pixels, or up to
+# eight times as many nodes of what is solid.
+SPARE, SPARE_OF_NODES = 5.0, 10.0
 
 
-class PixelPace:
-    """How coarse the pixels of a view that moves are, so that each picture is drawn in time.
-
-    A picture with pixels half as wide takes up to four times as long.
-    """
+class Pace:
+    """How coarse the pictures of a view that moves are, so that each is drawn in time."""
 
     def __init__(self) -> None:
-        self.times = 1  # as wide and as high as those of a view that stands still
+        self._step = FIRST
         self._compiled = False
+
+    @property
+    def times(self) -> int:
+        """How many pixels of a view that stands still one of the picture takes each way."""
+        return STEPS[self._step][0]
+
+    @property
+    def tolerance(self) -> float:
+        """In pixels of the picture, times that of the settings."""
+        times, tolerance = STEPS[self._step]
+        return tolerance / times
 
     def measured(self, seconds: float) -> None:
         """Takes in how long a picture took, from its planning to its last pixel."""
@@ -37,9 +50,9 @@ class PixelPace:
             # The first picture compiled shaders and filled caches.
             self._compiled = True
         elif seconds > FRAME_SECONDS:
-            self.times = min(2 * self.times, COARSEST_PIXELS)
-        elif seconds * SPARE < FRAME_SECONDS:
-            self.times = max(self.times // 2, 1)
+            self._step = min(self._step + 1, len(STEPS) - 1)
+        elif seconds * (SPARE if self._step > FIRST else SPARE_OF_NODES) < FRAME_SECONDS:
+            self._step = max(self._step - 1, 0)
 
 
 class Moving:

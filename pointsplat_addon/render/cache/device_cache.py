@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from itertools import count
 from typing import Any
 
@@ -62,10 +62,11 @@ class DeviceCache(Cache):
 
         return super().lookup(key, make_whole)
 
-    def forget_streamed(self) -> None:
-        """Frees what shows other pages of scans than a frame in the making does, and shadow maps that none uses."""
+    def forget_streamed(self, but: Set[str] = frozenset()) -> None:
+        """Frees what shows other pages of scans than a frame in the making does, and shadow maps that none uses. `but`:
+        content keys of what else stays."""
         loose = self.keys() - set().union(*self._in_use)
-        self.drop({key for key in loose if key.kind in CHANGING or next(streamed_names(key), None) is not None})
+        self.drop({key for key in loose if key.kind in CHANGING or not but.issuperset(streamed_names(key))})
 
     def trim_unused(self) -> None:
         """Frees what no frame in the making uses, least recently used first, until the rest fits; of shadow maps all

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -16,7 +15,6 @@ from .keys import Key, streamed_names
 from .on_disk import NOWHERE
 
 MOST_BYTES = 4 << 30
-STREAMED_VIEWS = 2  # whose pages of scans stay joined: a viewport's and a final picture's
 
 
 class Store(Cache):
@@ -31,7 +29,7 @@ class Store(Cache):
         self._worker: ThreadPoolExecutor | None = None
         self._pending: dict[Key, Future] = {}
         self._failed: dict[Key, Exception] = {}  # what was raised while an item was made on the store's thread
-        self._streamed: OrderedDict[str, None] = OrderedDict()  # what views drew of scans read by pages, latest last
+        self._streamed: dict[str, frozenset[str]] = {}  # what kinds of views drew last of scans read by pages
 
     def make_later(self, key: Key, make: Callable[[], Any]) -> None:
         """Runs `make` once on the store's thread; `key` is in the store when it has run."""
@@ -66,16 +64,13 @@ class Store(Cache):
         with self._lock:
             return bool(self._pending)
 
-    def forget_streamed(self, drawn: tuple[str, ...]) -> None:
-        """Drops what was made of what views drew of scans read by pages, but for the latest: a view that moves draws
-        other pages each time. `drawn`: content keys of what this view draws of them."""
+    def forget_streamed(self, view: str, drawn: Set[str]) -> None:
+        """Drops what was made of what views drew of scans read by pages before: a view that moves draws other pages
+        each time. `view`: a kind of views. `drawn`: content keys of what one of these draws of them now."""
         with self._lock:
-            for name in drawn:
-                self._streamed.pop(name, None)
-                self._streamed[name] = None
-            while len(self._streamed) > STREAMED_VIEWS * len(drawn):
-                self._streamed.popitem(last=False)
-            self.drop({key for key in self._items if any(name not in self._streamed for name in streamed_names(key))})
+            self._streamed[view] = frozenset(drawn)
+            stays = frozenset().union(*self._streamed.values())
+            self.drop({key for key in self._items if not stays.issuperset(streamed_names(key))})
 
     def finest_spacing(self, key: Key, spacing: float) -> float:
         """Returns the finer of `spacing` and what was asked for `key` before: samples are only ever refined."""

@@ -20,8 +20,9 @@ from ...core.scene.scene import Geometry, Scene, StreamedScan
 from ...core.scene.settings import Settings
 from ...core.splat.pixel_radii import with_pixel_radii
 from ...stream.casting import Casters, receivers_of
-from ...stream.cut import CutSplats, cut_pages, splats_of_cut
+from ...stream.cut import CutSplats, PageCut, cut_pages, splats_of_cut
 from ...stream.need import Need, needed_pages
+from ...stream.page import Page
 from ...stream.pool import PICTURE, POOL, VIEWPORT, PagePool, Wish, wishes_of
 from ...stream.tree import PageTree
 from ..cache.keys import STREAMED_NAME, Key, Kind
@@ -134,19 +135,21 @@ def with_pages(
     arrivals, waiting = pool.arrivals, pool.is_busy(view)
     fits = {wish.key for wish in wishes[:fitting]}
     geometries, instances = list(scene.geometries), scene.instances
-    names: list[str] = []
     drawn = points = 0
-    for scan, some in zip(scans, of_each, strict=True):
-        (first, *more), count = _shown(scan, [wish.page for wish in some if wish.key in fits], pool, store)
+    shown = [
+        _shown(scan, [wish.page for wish in some if wish.key in fits], pool)
+        for scan, some in zip(scans, of_each, strict=True)
+    ]
+    store.forget_streamed(view, {name for one in shown for name in (one.name, one.of_nodes)})
+    for scan, one in zip(scans, shown, strict=True):
+        first, *more = _joined(scan, one, store)
         geometries[scan.row] = first
-        drawn += count
+        drawn += 0 if one.cut is None else len(one.cut)
         rows = np.flatnonzero(scene.instances.geometry == scan.row)
         for part in more:
             instances = with_repeated(instances, rows, np.full(len(rows), len(geometries)))
             geometries.append(part)
-        names += (part.key for part in (first, *more))
         points += sum(len(part.cloud) for part in (first, *more) if part.cloud is not None)
-    store.forget_streamed(tuple(names))
     read = np.array([(scan.read_pages, scan.read_bytes) for scan in _files(scans)]) - before
     pages, size = read.sum(axis=0).tolist()
     found = Streamed(len(wishes), drawn, points, pages, size, waiting, arrivals, tuple(dict.fromkeys(warnings)))
@@ -255,28 +258,48 @@ def _wishes(scan: _Scan, need: Need) -> list[Wish]:
     return wishes_of(scan.streamed.scan, scan.streamed.look, need.pages, need.gain)
 
 
-def _shown(scan: _Scan, wanted: list[int], pool: PagePool, store: Store) -> tuple[list[Geometry], int]:
-    """What a view that wants some pages draws of a scan, points and nodes, each a geometry; and of how many pages."""
-    streamed, geometry = scan.streamed, scan.geometry
+@record
+class _Shown:
+    """What a view draws of a scan."""
+
+    name: str  # content keys, of points
+    pages: dict[int, Page]  # that are there
+    cut: PageCut | None  # None: the stand-in is drawn
+
+    @property
+    def of_nodes(self) -> str:
+        return f"{self.name} nodes"
+
+
+def _shown(scan: _Scan, wanted: list[int], pool: PagePool) -> _Shown:
+    """What a view that wants some pages draws of a scan."""
+    streamed, name = scan.streamed, f"{STREAMED_NAME}{scan.geometry.key}"
     tree: PageTree | None = streamed.scan.tree
     there = pool.pages(streamed.scan, streamed.look, wanted) if tree is not None else {}
     if tree is None or 0 not in there:
-        name = f"{STREAMED_NAME}{geometry.key} stand-in"
-        return [replace(geometry, key=name, cloud=streamed.stand_in)], 0
+        return _Shown(f"{name} stand-in", there, None)
     cut = cut_pages(tree, there)
-    name = f"{STREAMED_NAME}{geometry.key} {streamed.scan.number} {cut.digest}"
+    return _Shown(f"{name} {streamed.scan.number} {cut.digest}", there, cut)
+
+
+def _joined(scan: _Scan, shown: _Shown, store: Store) -> list[Geometry]:
+    """What a view draws of a scan, points and nodes, each a geometry."""
+    streamed, geometry, cut = scan.streamed, scan.geometry, shown.cut
+    tree: PageTree | None = streamed.scan.tree
+    if tree is None or cut is None:
+        return [replace(geometry, key=shown.name, cloud=streamed.stand_in)]
 
     def make() -> CutSplats:
-        splats = splats_of_cut(tree, cut, there, streamed.size)
+        splats = splats_of_cut(tree, cut, shown.pages, streamed.size)
         return splats if streamed.box_from_object is None else clipped(splats, streamed)
 
-    splats: CutSplats = store.lookup(Key(Kind.STREAMED, name), make)
+    splats: CutSplats = store.lookup(Key(Kind.STREAMED, shown.name), make)
     found = []
     if splats.points is not None or splats.nodes is None:
-        found.append(replace(geometry, key=name, cloud=splats.points))
+        found.append(replace(geometry, key=shown.name, cloud=splats.points))
     if splats.nodes is not None:
-        found.append(replace(geometry, key=f"{name} nodes", cloud=splats.nodes, node_shape=splats.shape))
-    return found, len(cut)
+        found.append(replace(geometry, key=shown.of_nodes, cloud=splats.nodes, node_shape=splats.shape))
+    return found
 
 
 def clipped(splats: CutSplats, streamed: StreamedScan) -> CutSplats:

@@ -1,30 +1,50 @@
-"""How coarse pixels get while a view moves."""
+"""How coarse pictures get while a view moves."""
 
 import pytest
 
-from pointsplat_addon.render.budget.viewport import COARSEST_PIXELS, FRAME_SECONDS, PixelPace
+from pointsplat_addon.render.budget.viewport import FRAME_SECONDS, STEPS, Pace
+
+COARSEST = max(times for times, _ in STEPS)
 
 
 @pytest.mark.parametrize(("whole", "shared"), [(0.01, 0.005), (0.5, 0.01), (1.5, 0.05), (0.0, 0.3), (30.0, 0.0)])
 def test_pictures_keep_their_time_and_do_not_flicker(whole, shared):
     """`whole`: seconds of all pixels of the finest picture; `shared`: what does not depend on pixels."""
-    pace, sizes = PixelPace(), []
+    pace, sizes = Pace(), []
     for _ in range(12):
         sizes.append(pace.times)
         pace.measured(whole / pace.times**2 + shared)
     assert len(set(sizes[6:])) == 1
     taken = whole / sizes[-1] ** 2 + shared
-    assert taken <= FRAME_SECONDS or sizes[-1] == COARSEST_PIXELS
+    assert taken <= FRAME_SECONDS or sizes[-1] == COARSEST
     finer = sizes[-1] // 2
     assert finer == 0 or whole / finer**2 + shared > FRAME_SECONDS
 
 
+@pytest.mark.parametrize("dimensions", [2, 3])  # of surfaces and of what is solid: nodes over tolerance
+@pytest.mark.parametrize("whole", [1e-4, 0.02, 0.09, 0.5, 2.0, 5.0, 20.0, 1000.0])
+def test_nodes_are_as_fine_as_time_allows_and_do_not_flicker(whole, dimensions):
+    """`whole`: seconds of all nodes at the tolerance of a view that stands still."""
+
+    def taken(tolerance: float) -> float:
+        return whole / tolerance**dimensions
+
+    pace, found = Pace(), []
+    for _ in range(12):
+        found.append(pace.tolerance * pace.times)
+        pace.measured(taken(found[-1]))
+    assert len(set(found[6:])) == 1
+    coarsest, finest = STEPS[-1][1], STEPS[0][1]
+    assert taken(found[-1]) <= FRAME_SECONDS or found[-1] == coarsest
+    assert found[-1] == finest or taken(found[-1]) > 0.1 * FRAME_SECONDS
+
+
 def test_the_first_picture_and_a_slow_one_are_forgotten():
-    pace = PixelPace()
+    pace = Pace()
     pace.measured(3.0)  # compiles shaders
-    assert pace.times == 1
+    assert (pace.times, pace.tolerance) == (1, 4.0)
     pace.measured(3.0)
-    assert pace.times == 2
+    assert (pace.times, pace.tolerance) == (2, 2.0)
     for _ in range(2):
-        pace.measured(0.01)
-    assert pace.times == 1
+        pace.measured(0.015)
+    assert (pace.times, pace.tolerance) == (1, 4.0)

@@ -13,6 +13,7 @@ from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.scene import Geometry, PointSize, Scene, StreamedScan
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
+from pointsplat_addon.render.cache.keys import streamed_names
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.plan.request import Request, Result
 from pointsplat_addon.render.prepare import streamed as streamed_pages
@@ -232,6 +233,26 @@ def test_the_first_picture_of_a_viewport_is_not_empty(tmp_path: Path) -> None:
     assert frame.frame_plan.streamed is not None
     assert frame.frame_plan.streamed.points > 0
     frame.release()
+
+
+def test_of_what_a_kind_of_views_drew_of_scans_the_latest_is_kept(tmp_path: Path) -> None:
+    _, scene = paged(tmp_path)
+    renderer = opengl()
+    drawn, seen = [], set()
+    for interactive, tolerance in ((False, FINE), (False, COARSE), (True, FINE), (True, COARSE), (False, FINE)):
+        settings = replace(SETTINGS, tolerance=tolerance)
+        request = Request(CAMERA, settings, frozenset({"combined"}), 1, interactive=interactive)
+        frame = renderer.start(scene, request)
+        mine = {geometry.key for geometry in frame.frame_plan.scene.geometries if geometry.streamed is not None}
+        frame.release()
+        seen |= mine
+        drawn = [one for one in drawn if one[0] != interactive] + [(interactive, mine)]
+        stored, uploaded = renderer.store.keys(), renderer.kept.keys()
+        of_pages = {name for key in stored for name in streamed_names(key) if str(tmp_path) in name}
+        kept = {name for _, names in drawn for name in names}
+        assert mine <= of_pages <= kept
+        assert {name for key in uploaded for name in streamed_names(key)} == mine
+    assert len(seen) >= 2
 
 
 def test_a_view_that_moves_has_hard_coarse_shadows_of_what_it_shows(tmp_path: Path) -> None:

@@ -244,8 +244,10 @@ def _all_of(scene: Scene, store: Store) -> Prepared:
             if geometry.mesh is not None:
                 meshes.append(row)
             continue
-        points = store.lookup(Key(Kind.COHERENT_POINTS, geometry.key), lambda cloud=cloud: coherent_with_foliage(cloud))
-        sets[row] = PointSet(Key(Kind.CLOUD, geometry.key), points)
+        if geometry.streamed is None:  # pages are coherent
+            coherent = Key(Kind.COHERENT_POINTS, geometry.key)
+            cloud = store.lookup(coherent, lambda cloud=cloud: coherent_with_foliage(cloud))
+        sets[row] = PointSet(Key(Kind.CLOUD, geometry.key), cloud)
     instances = scene.instances
     set_of_instance = np.where(np.isin(instances.geometry, list(sets)), instances.geometry, -1)
     none = np.full(len(instances), -1)

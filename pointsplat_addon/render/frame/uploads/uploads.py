@@ -55,6 +55,8 @@ class Uploads:
         self._captured_lighting: dict[int, LightingUploads] = {}
         self.matte_lighting: LightingUploads | None = None
         self.previous: Texture | None = None  # clip space a frame before from today's view space
+        if pages := {geometry.key for geometry in scene.geometries if geometry.streamed is not None}:
+            kept.forget_streamed(but=pages)  # before others are uploaded, for both may not fit
         try:
             self.lighting = LightingUploads(self._scope, store, scene, plan, shadows)
             if plan.matte_light.lit:
@@ -77,8 +79,6 @@ class Uploads:
             if motion:
                 rows = previous_clip_from_view(scene, camera, prepared.view_from_object)
                 self.previous = self._scope.texture(rows)
-            if any(geometry.streamed is not None for geometry in scene.geometries):
-                kept.forget_streamed()
             kept.trim_unused()
         except Exception:
             self.release()
