@@ -45,7 +45,7 @@ class Settings:
     budget: str = "NONE"  # one of BUDGETS
     time_budget: float = 100.0  # milliseconds that a picture may take
     error_budget: float = 1 / 128  # root mean square error that a picture may have, scene-linear
-    memory_budget: int = 2000  # megabytes of points that are read by pages
+    memory_budget: int = 2000  # megabytes of scans that are read by pages, and of what is drawn of them
     device: str = "AUTO"  # one of DEVICES
 
     OF_BLENDER: ClassVar[frozenset[str]] = frozenset({"filter_size"})

@@ -208,8 +208,8 @@ LABELS: dict[str, tuple[str, str]] = {
     ),
     "memory_budget": (
         "Memory Budget",
-        "Megabytes of points that are kept in memory of scans that are read by pages; where a picture needs more, it is"
-        " drawn more coarsely",
+        "Megabytes that scans which are read by pages take in memory, what is drawn of them included; where a picture"
+        " needs more, it is drawn more coarsely",
     ),
     "device": ("Device", "What draws the pictures"),
 }
