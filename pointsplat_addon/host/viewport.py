@@ -52,6 +52,7 @@ class Viewport:
         self._pace = Pace()
         self._changed_at = float("-inf")
         self._error = ""
+        self._begun = 0  # frames, so that none is held to tell whether there is another
         self._hasty = False  # the frame has few samples, for pages of scans are still to come
         self._made_at, self._made_in = 0.0, 0.0  # when the frame was begun, and what drawing it took, seconds
 
@@ -95,15 +96,15 @@ class Viewport:
         camera = viewport_camera(context, depsgraph)
         if self._scene is None or min(camera.window[2:]) <= 0:
             return
-        before, began = self._frame, time.perf_counter()
+        begun, began = self._begun, time.perf_counter()
         frame = self._frame_for(self._scene, camera, settings, pixel_size(depsgraph.scene_eval.render))
         more = frame.sample() if self._pacing is None else self._pacing.sample(frame)
         streamed = frame.frame_plan.streamed
         if not (more or self._coarse or self._hasty):
             frame, more = self._lit(frame)
-        if streamed is not None and frame is not before:
+        if streamed is not None and self._begun != begun:
             self._made_at, self._made_in = began, time.perf_counter() - began
-        if self._coarse and frame is not before:
+        if self._coarse and self._begun != begun:
             wait(MAIN_GPU.renderer().device)
             self._pace.measured(time.perf_counter() - began)
         _present(frame, camera, smooth=self._coarse and frame.frame_plan.request.camera.window != camera.window)
@@ -161,6 +162,7 @@ class Viewport:
         else:
             return self._frame
         self._drop()
+        self._begun += 1
         renderer, with_indirect = MAIN_GPU.renderer(), settings.use_indirect
         if self._known is not None and not self._known.is_of(renderer, scene, settings):
             self._forget_light()

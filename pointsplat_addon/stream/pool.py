@@ -23,7 +23,7 @@ from .page import Page
 from .scan import PagedScan
 
 BUDGET = 2000 << 20  # bytes, until settings say
-FIRST_GUESS = 40  # bytes of an element in memory, until a page of the look was read
+FIRST_GUESS = 60  # bytes of an element in memory, until a page of the look was read
 # Bytes that an element takes beside its page where it is drawn: joined with the others 53, on the device 71.
 DRAWN = 124
 NEW = 0.77  # of a page's elements, beyond those of its parent that it stands in for
