@@ -52,7 +52,10 @@
 #define PS_LAYER 0.5  // half a cell: how much farther away a surface is at its other end, over the tangent of its tilt
 #define PS_LEAST_TILT 0.05  // cosine
 #define PS_SPLATS 1.0  // how large nodes of captured splats may be, over a cell
-#define PS_SKY_ROUGHNESS 0.4  // of the world's picture that is as blurred as a cell is wide
+// Of the world's picture a cell shows so many parts each way, in the level that is about as blurred as these are wide: blurred as
+// much as a cell is wide, it would bring what lies below the horizon above it.
+#define PS_SKY_PARTS 2
+#define PS_SKY_LEVEL 1
 
 float ps_covered[PS_CELLS * PS_CELLS];  // share of the cell
 float ps_weight[PS_CELLS * PS_CELLS];  // of what covers it: solid angle times cosine
@@ -504,10 +507,16 @@ void main()
 #if defined(PS_HAS_WORLD)
       sky = texelFetch(ps_lights, ivec2(0, PS_WORLD_ROW), 0).rgb;
 #elif defined(PS_HAS_ENVIRONMENT)
-      for (int k = 0; k < (left > 0.0 ? 1 : 0); k++) {
-        vec3 world = direction.x * tangent + direction.y * across + direction.z * n;
-        sky = ps_environment_radiance(ps_image_from_view(world), PS_SKY_ROUGHNESS);
+      float of_parts = 0.0;
+      for (int k = 0; k < (left > 0.0 ? PS_SKY_PARTS * PS_SKY_PARTS : 0); k++) {
+        vec2 within = (vec2(k % PS_SKY_PARTS, k / PS_SKY_PARTS) + 0.5) / float(PS_SKY_PARTS);
+        vec3 part = ps_direction_from_cell(vec2(x, y) + within);
+        float share = ps_cell_solid_angle(part) * PS_COSINE(part);
+        vec3 world = part.x * tangent + part.y * across + part.z * n;
+        sky += share * ps_environment_level(ps_uv_from_direction(ps_image_from_view(world)), PS_SKY_LEVEL);
+        of_parts += share;
       }
+      sky /= max(of_parts, 1e-30);
 #endif
       sky *= u.sky * left_weight;
 #ifdef PS_MEDIA
