@@ -257,12 +257,12 @@ bool ps_behind(vec3 direction, float wide, float cell)
 // How large a node may be, over a cell.
 float ps_sameness(PsNode node, float along)
 {
-  float surface = (node.bits & 1 << 21) != 0 ? PS_ROUND : mix(PS_TURNED, 1.0, along * along * along);
+  float surface = (node.bits & PS_IS_ROUND) != 0 ? PS_ROUND : mix(PS_TURNED, 1.0, along * along * along);
 #ifdef PS_CAPTURED
-  surface = (node.bits & 1 << 22) != 0 ? PS_SPLATS : surface;
+  surface = (node.bits & PS_IS_CAPTURED) != 0 ? PS_SPLATS : surface;
 #endif
-  float scattered = (node.bits & 1 << 21) != 0 ? PS_HAIRS : PS_LEAVES;
-  return (node.bits & 256) != 0 ? scattered : surface;
+  float scattered = (node.bits & PS_IS_ROUND) != 0 ? PS_HAIRS : PS_LEAVES;
+  return (node.bits & PS_IS_SCATTERED) != 0 ? scattered : surface;
 }
 
 // Octants `there`, a bit each, in the order of their distance from the octant `own`: bit k stands for the one that differs from it
@@ -407,7 +407,9 @@ void main()
         above = above && d - node.radius < u.within;
 #endif
         opened += above ? 1 : 0;
-        tilt = node.radius * sqrt(clamp(1.0 - upright * upright, 0.0, 1.0));
+        // What only stands for surfaces near it, as on thin pipes, would rise above the planes of others beside it.
+        bool rough = node.first == -1 && (node.bits & (PS_IS_SCATTERED | PS_IS_ROUND)) == 0;
+        tilt = rough ? 0.0 : node.radius * sqrt(clamp(1.0 - upright * upright, 0.0, 1.0));
         part = 0;
         count = 0;
         if (above && node.first >= 0 && opened < PS_MOST_NODES && coarse && size < PS_STACK) {
@@ -484,7 +486,7 @@ void main()
       vec3 plane = (1.0 - look.along) * to / away - sign(toward) * look.along * look.axis;
       plane /= max(dot(plane, to), PS_FLATTEST * away);
       seen.plane = vec3(dot(plane, tangent), dot(plane, across), dot(plane, n));
-      seen.shining = (node.bits & 1 << 23) != 0;
+      seen.shining = (node.bits & PS_IS_SHINING) != 0;
 #endif
 #ifdef PS_CAPTURED
       if (top > 0.0 && look.captured) {
