@@ -14,7 +14,15 @@ from ...shading.interface import Interface
 from ..cache.keys import Key
 from ..device.protocol import Device, Texture
 from ..passes.indirect.gather import COARSENESS, Gather, gather_program
-from ..passes.indirect.pages import CAPTURED, MEDIA_WIDTH, NODE_WIDTH, RECEIVER_WIDTH, SHINING, paged_texture, receiver_texture
+from ..passes.indirect.pages import (
+    CAPTURED,
+    MEDIA_WIDTH,
+    NODE_WIDTH,
+    RECEIVER_WIDTH,
+    SHINING,
+    paged_texture,
+    receiver_texture,
+)
 from .known_sites import KnownSites
 from .media import BakedMedia
 
