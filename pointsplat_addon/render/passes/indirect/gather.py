@@ -45,8 +45,8 @@ def gather_program(
     `bounces`: light for surfaces that light others. `media`: there are some; its block then has MEDIA_FIELDS, too.
     `every_side`: for receivers within media, of each of two hemispheres. `colored`: extinction of media differs between
     the channels. `moments`: of what is seen all around, of each of two hemispheres. `captured`: the tree has captured
-    splats. `occlusion`: what hides the world sends no light, and does so within a distance alone, of WITHIN_FIELDS. `shining`:
-    some nodes of the tree emit light, and cells tell what they hide of others."""
+    splats. `occlusion`: what hides the world sends no light, and does so within a distance alone, of WITHIN_FIELDS.
+    `shining`: some nodes of the tree emit light, and hide what lies behind them in parts of cells."""
     lights = (("FLOAT_2D", "ps_lights"),) if world else ()
     picture = (("FLOAT_2D", "ps_environment"),) if "PS_HAS_ENVIRONMENT" in world else ()
     names = (*world, *(("PS_GLOSSY",) if glossy else ()), *(("PS_BOUNCES",) if bounces else ()))
