@@ -93,8 +93,8 @@ def test_what_lets_light_through_or_scatters_none_has_all_of_the_sky(scatters):
 
 
 def test_the_sky_of_a_picture_ends_at_the_horizon():
-    """A floor under a picture that is 1 above the horizon and 0 below has 1. Found: 0.0075 less; 0.048 less where a cell
-    sees the picture as blurred as it is wide."""
+    """A floor under a picture that is 1 above the horizon and 0 below has 1. Found: 0.0075 less; 0.048 less where a
+    cell sees the picture as blurred as it is wide."""
     picture = np.zeros((128, 256, 3), np.float32)
     picture[64:] = 1.0
     table = materials(1, base_color=[[1.0] * 3], specular=[0.0], roughness=[1.0])
