@@ -160,7 +160,8 @@ class IndirectLight:
 
     def _program(self, glossy: bool, **kind: bool) -> Interface:
         of_scene = {"media": self.media is not None, "colored": self._colored, "captured": self._captured}
-        of_scene["shining"] = self._shining
+        # What is sent on further is even, and needs no more.
+        of_scene["shining"] = self._shining and not kind.get("bounces", False)
         of_scene["occlusion"] = self.occlusion
         return gather_program(self._names, glossy, **of_scene, **kind)
 
