@@ -9,6 +9,8 @@
 // PS_CAPTURED: there are captured splats. They cover 4 x 4 parts of each cell, for they lie in many layers, which would all add up in a
 // cell that they cover in part. In a part what lies at one distance adds up, as it tiles a surface; what lies clearly farther away,
 // beside how far a tilted surface goes on within a cell, is hidden by chance.
+// PS_SHINING: some surfaces emit light. Small bright things, as letters are, hide others of their kind, which would add up: in a cell
+// light that comes from clearly behind one of them is hidden as if by chance, in each of its quarters.
 // PS_EVERY_SIDE: of a hemisphere, half of what a receiver within a medium sees: without the cosine.
 // PS_OCCLUSION: how much of a white world is open: what hides it sends no light, and does so within a distance alone.
 // PS_MOMENTS, with it: in place of out_diffuse, moments over the hemisphere of what is seen, as of core/indirect/moments.py.
@@ -51,8 +53,13 @@
 #define PS_WIDENED 1.4  // how far circles reach in cells at most, over what their solid angle tells
 #define PS_LAYER 0.5  // half a cell: how much farther away a surface is at its other end, over the tangent of its tilt
 #define PS_LEAST_TILT 0.05  // cosine
+#define PS_BEYOND 0.16  // half a cell: how far behind the plane of what emits light others lie at least that it hides, over its distance
+#define PS_FLATTEST 0.02  // cosine between a surface and the way to it, from which on planes lie farther away than that tells
 #define PS_SPLATS 1.0  // how large nodes of captured splats may be, over a cell
-#define PS_SKY_ROUGHNESS 0.4  // of the world's picture that is as blurred as a cell is wide
+// Of the world's picture a cell shows so many parts each way, in the level that is about as blurred as these are wide: blurred as
+// much as a cell is wide, it would bring what lies below the horizon above it.
+#define PS_SKY_PARTS 2
+#define PS_SKY_LEVEL 1
 
 float ps_covered[PS_CELLS * PS_CELLS];  // share of the cell
 float ps_weight[PS_CELLS * PS_CELLS];  // of what covers it: solid angle times cosine
@@ -68,6 +75,11 @@ vec3 ps_mirrored[PS_CELLS * PS_CELLS];  // what PsGathered has of it, before med
 float ps_fronts = 0.0, ps_backs = 0.0;  // solid angles of surfaces that were seen from before, and from behind
 float ps_left[PS_CELLS * PS_CELLS];  // one over the distance of what is seen from behind, the latest
 float ps_inside[PS_CELLS * PS_CELLS];  // covered by surfaces that are seen from before, less those from behind
+#ifdef PS_SHINING
+vec4 ps_quarters[PS_CELLS * PS_CELLS];  // shares of the cell's quarters that are covered, where layers hide each other
+vec4 ps_earlier[PS_CELLS * PS_CELLS];  // and what was covered of them by layers before the latest
+vec3 ps_plane[PS_CELLS * PS_CELLS];  // of what emits light in that: its normal over its distance
+#endif
 uvec2 ps_full = uvec2(0u);  // cells that are covered, a bit each, 8 for a row, 4 rows in each number
 
 struct PsGathered {
@@ -98,12 +110,48 @@ struct PsSeen {
   float nearness;  // one over its distance
   float across;  // sides of the square that it is spread over, over its distance; at least a cell and at most two count
   float front, back;  // solid angles of what faces the receiver, and of what does not
+#ifdef PS_SHINING
+  bool shining;  // it emits light
+  vec3 plane;  // its normal over the distance of its plane, in the receiver's axes
+#endif
 #ifdef PS_CAPTURED
   float layer;  // of captured splats: how many times farther away others of the same surface may be
   vec3 normal;  // of these, in the receiver's axes
   float upright;  // and how much of a disk they show
 #endif
 };
+
+#ifdef PS_SHINING
+// How much more of a cell is covered by a piece, `whole` of it in the rectangle from `low` to `high` of its sides; `kept`: of what it
+// was covered by.
+float ps_cover_quarters(int i, vec2 low, vec2 high, float whole, float kept, PsSeen seen, PsNodeLook look)
+{
+  vec2 first = clamp((0.5 - low) / max(high - low, 1e-6), 0.0, 1.0);
+  vec4 wanted = 4.0 * whole * vec4(first, 1.0 - first).xzxz * vec4(first.yy, 1.0 - first.yy);
+  vec4 quarters = ps_quarters[i] * kept, earlier = min(ps_earlier[i], quarters);
+  vec3 plane = ps_plane[i];
+  bool counts = whole > 0.0 && !look.scattered;
+  bool next = counts && dot(plane, seen.direction) - seen.nearness > PS_BEYOND * length(plane);
+  earlier = next ? quarters : earlier;
+  bool begins = counts && seen.shining && (next || plane == vec3(0.0));
+  ps_plane[i] = begins ? seen.plane : next ? vec3(0.0) : plane;
+  ps_earlier[i] = earlier;
+  vec4 room = 1.0 - quarters;
+  wanted = look.scattered ? (1.0 - exp(-wanted)) * room : wanted * (1.0 - earlier);
+  vec4 got = min(wanted, room);
+  // What finds its own quarters covered covers the others.
+  float rest = dot(wanted - got, vec4(1.0)), gaps = dot(room - got, vec4(1.0));
+  got += (room - got) * min(rest / max(gaps, 1e-6), 1.0);
+  ps_quarters[i] = quarters + got;
+  return 0.25 * dot(got, vec4(1.0));
+}
+#endif
+
+// How much of a cell is closed of which a share is covered.
+float ps_tight(float covered)
+{
+  return min(covered + max(covered - PS_GAPS, 0.0) * PS_TIGHTENED, 1.0);
+}
 
 // Covers a part, a rectangle of a cell, by a piece of surface; `share`: of the piece that lies in it, per area in cells.
 void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, float cell, PsSeen seen, PsNodeLook look, vec4 lobe)
@@ -138,6 +186,9 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   inside += solid * (hides - left);
   float open = 1.0 - covered, covers = look.scattered ? (1.0 - exp(-whole)) * open : min(whole, open);
   covered += covers;
+#ifdef PS_SHINING
+  covers = ps_cover_quarters(i, max(low - vec2(at), 0.0), min(high - vec2(at), 1.0), whole, kept, seen, look);
+#endif
   float weight = covers * cell * PS_COSINE(seen.direction);
   sum.nearness += weight * seen.nearness;
 #ifdef PS_OCCLUSION
@@ -206,12 +257,12 @@ bool ps_behind(vec3 direction, float wide, float cell)
 // How large a node may be, over a cell.
 float ps_sameness(PsNode node, float along)
 {
-  float surface = (node.bits & 1 << 21) != 0 ? PS_ROUND : mix(PS_TURNED, 1.0, along * along * along);
+  float surface = (node.bits & PS_IS_ROUND) != 0 ? PS_ROUND : mix(PS_TURNED, 1.0, along * along * along);
 #ifdef PS_CAPTURED
-  surface = (node.bits & 1 << 22) != 0 ? PS_SPLATS : surface;
+  surface = (node.bits & PS_IS_CAPTURED) != 0 ? PS_SPLATS : surface;
 #endif
-  float scattered = (node.bits & 1 << 21) != 0 ? PS_HAIRS : PS_LEAVES;
-  return (node.bits & 256) != 0 ? scattered : surface;
+  float scattered = (node.bits & PS_IS_ROUND) != 0 ? PS_HAIRS : PS_LEAVES;
+  return (node.bits & PS_IS_SCATTERED) != 0 ? scattered : surface;
 }
 
 // Octants `there`, a bit each, in the order of their distance from the octant `own`: bit k stands for the one that differs from it
@@ -301,6 +352,10 @@ void main()
     ps_light[i] = vec3(0.0);
 #endif
     ps_inside[i] = 0.0;
+#ifdef PS_SHINING
+    ps_plane[i] = vec3(0.0);
+    ps_quarters[i] = ps_earlier[i] = vec4(0.0);
+#endif
     ps_left[i] = 0.0;
 #ifdef PS_CAPTURED
     ps_layer[i] = 0.0;
@@ -352,7 +407,9 @@ void main()
         above = above && d - node.radius < u.within;
 #endif
         opened += above ? 1 : 0;
-        tilt = node.radius * sqrt(clamp(1.0 - upright * upright, 0.0, 1.0));
+        // What only stands for surfaces near it, as on thin pipes, would rise above the planes of others beside it.
+        bool rough = node.first == -1 && (node.bits & (PS_IS_SCATTERED | PS_IS_ROUND)) == 0;
+        tilt = rough ? 0.0 : node.radius * sqrt(clamp(1.0 - upright * upright, 0.0, 1.0));
         part = 0;
         count = 0;
         if (above && node.first >= 0 && opened < PS_MOST_NODES && coarse && size < PS_STACK) {
@@ -424,6 +481,13 @@ void main()
       seen.back = (both - signed_area) * angle;
       seen.direction = normalize(vec3(dot(to, tangent), dot(to, across), max(rises, 0.25 * top)));
       seen.radiance = toward > 0.0 ? look.before : look.behind;
+#ifdef PS_SHINING
+      // Of surfaces that are turned to all sides it faces the receiver.
+      vec3 plane = (1.0 - look.along) * to / away - sign(toward) * look.along * look.axis;
+      plane /= max(dot(plane, to), PS_FLATTEST * away);
+      seen.plane = vec3(dot(plane, tangent), dot(plane, across), dot(plane, n));
+      seen.shining = (node.bits & PS_IS_SHINING) != 0;
+#endif
 #ifdef PS_CAPTURED
       if (top > 0.0 && look.captured) {
         ps_deposit_parts(sum, seen, lobe);
@@ -454,8 +518,13 @@ void main()
       }
       vec3 direction = ps_direction_from_cell(vec2(x, y) + 0.5);
       int i = y * PS_CELLS + x;
-      float covered = ps_covered[i], tight = min(covered + max(covered - PS_GAPS, 0.0) * PS_TIGHTENED, 1.0);
-      float left = 1.0 - tight, scale = tight / max(covered, 1e-6);
+      float covered = ps_covered[i], tight = ps_tight(covered), left = 1.0 - tight;
+#ifdef PS_SHINING
+      covered = 0.25 * dot(ps_quarters[i], vec4(1.0));
+      float scale = ps_tight(covered) / max(covered, 1e-6), of_covered = tight / max(covered, 1e-6);
+#else
+      float scale = tight / max(covered, 1e-6), of_covered = scale;
+#endif
 #ifdef PS_MEDIA
       float surface = covered > 0.0 ? ps_distance[i] / max(ps_weight[i], 1e-30) : 0.0;
       PsMarch air = PsMarch(vec3(0.0), PS_SHARE(0.0), vec3(0.0), PS_SHARE(0.0));
@@ -485,7 +554,7 @@ void main()
 #endif
       sum.diffuse += of_surfaces;
       // What is open of a cell that is covered in part is where it is not: on the other side of its middle.
-      float left_weight = left > 1e-3 ? clamp(weight - ps_weight[i] * scale, 0.0, weight) : 0.0;
+      float left_weight = left > 1e-3 ? clamp(weight - ps_weight[i] * of_covered, 0.0, weight) : 0.0;
       whole += weight;
 #ifdef PS_OCCLUSION
       sum.nearness += left_weight / u.within;  // as far away begins what does not count
@@ -504,10 +573,16 @@ void main()
 #if defined(PS_HAS_WORLD)
       sky = texelFetch(ps_lights, ivec2(0, PS_WORLD_ROW), 0).rgb;
 #elif defined(PS_HAS_ENVIRONMENT)
-      for (int k = 0; k < (left > 0.0 ? 1 : 0); k++) {
-        vec3 world = direction.x * tangent + direction.y * across + direction.z * n;
-        sky = ps_environment_radiance(ps_image_from_view(world), PS_SKY_ROUGHNESS);
+      float of_parts = 0.0;
+      for (int k = 0; k < (left > 0.0 ? PS_SKY_PARTS * PS_SKY_PARTS : 0); k++) {
+        vec2 within = (vec2(k % PS_SKY_PARTS, k / PS_SKY_PARTS) + 0.5) / float(PS_SKY_PARTS);
+        vec3 part = ps_direction_from_cell(vec2(x, y) + within);
+        float share = ps_cell_solid_angle(part) * PS_COSINE(part);
+        vec3 world = part.x * tangent + part.y * across + part.z * n;
+        sky += share * ps_environment_level(ps_uv_from_direction(ps_image_from_view(world)), PS_SKY_LEVEL);
+        of_parts += share;
       }
+      sky /= max(of_parts, 1e-30);
 #endif
       sky *= u.sky * left_weight;
 #ifdef PS_MEDIA

@@ -40,6 +40,9 @@ class LightTree:
     thickness: np.ndarray  # (M,) float32: how far along the axis, either way, all its surfels' disks lie at most
     scattered: np.ndarray  # (M,) float32: share of the area that belongs to leaves and hairs
     captured: np.ndarray | None  # (M,) bool: most of the area belongs to captured splats; None: of no node
+    shining: (
+        np.ndarray | None
+    )  # (M,) bool: most of the area emits light; None: of no node, or there are captured splats
     first: np.ndarray  # (M,) int32: first child; -1: a leaf
     octants: np.ndarray  # (M,) uint8: which of the eight children there are, bit by bit
     edge: np.ndarray  # (M, 3) float32: of leaves that are rectangles or triangles, as Surfels.edge; else (0, 0, 0)
@@ -190,10 +193,12 @@ def _placed(
         reach = thickness[children] * tilted + radii[children] * np.sqrt(1 - tilted * tilted)
         highest = np.maximum.reduceat(away + np.minimum(reach, radii[children]), starts(count))
         thickness[nodes] = np.minimum(highest, radii[nodes])
-    captured = None
+    captured = shining = None
     if surfels.captured is not None:
         captured = _mostly(surfels.captured, surfels, leaf, placed, area)
         area = _areas_seen(surfels, leaf, placed, captured, area, position)
+    elif (shines := surfels.emission.any(axis=1)).any():
+        shining = _mostly(shines, surfels, leaf, placed, area)
     edge = np.zeros((size, 3), f)
     half = np.zeros(size, bool)
     edge[leaf], half[leaf] = surfels.edge, surfels.half
@@ -208,6 +213,7 @@ def _placed(
         thickness=thickness.astype(f),
         scattered=means[SCATTERED].astype(f),
         captured=captured,
+        shining=shining,
         first=first,
         octants=masks[number],
         edge=edge,

@@ -14,7 +14,15 @@ from ...shading.interface import Interface
 from ..cache.keys import Key
 from ..device.protocol import Device, Texture
 from ..passes.indirect.gather import COARSENESS, Gather, gather_program
-from ..passes.indirect.pages import CAPTURED, MEDIA_WIDTH, NODE_WIDTH, RECEIVER_WIDTH, paged_texture, receiver_texture
+from ..passes.indirect.pages import (
+    CAPTURED,
+    MEDIA_WIDTH,
+    NODE_WIDTH,
+    RECEIVER_WIDTH,
+    SHINING,
+    paged_texture,
+    receiver_texture,
+)
 from .known_sites import KnownSites
 from .media import BakedMedia
 
@@ -61,7 +69,9 @@ class IndirectLight:
         self.origin = baked.origin
         self._baked: BakedLight | None = baked  # until something is gathered
         self._root, self.media = len(baked.nodes) - 1, baked.media
-        self._captured = bool((baked.nodes[:, 6] >= CAPTURED).any())
+        bits = np.bitwise_or.reduce(baked.nodes[:, 6].astype(np.int64), initial=0)
+        self._captured = bool(bits & int(CAPTURED))
+        self._shining = bool(bits & int(SHINING)) and within is None
         self._table = light_texture((), world, np.eye(4))
         self._textures: dict[str, Texture] = {}
         self.known, self.known_moments = KnownSites(8), KnownSites(MOMENTS)
@@ -150,6 +160,8 @@ class IndirectLight:
 
     def _program(self, glossy: bool, **kind: bool) -> Interface:
         of_scene = {"media": self.media is not None, "colored": self._colored, "captured": self._captured}
+        # What is sent on further is even, and needs no more.
+        of_scene["shining"] = self._shining and not kind.get("bounces", False)
         of_scene["occlusion"] = self.occlusion
         return gather_program(self._names, glossy, **of_scene, **kind)
 

@@ -3,6 +3,12 @@
 
 #include "lib/data/pack.glsl"
 
+// Of bits of nodes.
+#define PS_IS_SCATTERED 256
+#define PS_IS_ROUND (1 << 21)
+#define PS_IS_CAPTURED (1 << 22)
+#define PS_IS_SHINING (1 << 23)
+
 struct PsNode {
   vec3 position;
   float radius;  // of a ball that holds it
@@ -63,9 +69,9 @@ PsNodeLook ps_node_look(int number, PsNode node)
   look.facing = ps_unpack_normal(a.x) * a.y;
   look.axis = ps_unpack_normal(node.axis);
   look.along = ps_along(node);
-  look.scattered = (node.bits & 256) != 0;
+  look.scattered = (node.bits & PS_IS_SCATTERED) != 0;
 #ifdef PS_CAPTURED
-  look.captured = (node.bits & 1 << 22) != 0;
+  look.captured = (node.bits & PS_IS_CAPTURED) != 0;
 #endif
   look.before = ps_unpack_radiance(a.zw);
   look.behind = ps_unpack_radiance(b.xy);

@@ -90,3 +90,31 @@ def test_what_lets_light_through_or_scatters_none_has_all_of_the_sky(scatters):
     height, width = found.shape[:2]
     expected = 0.5 * 0.5 + 0.5 if scatters else 0.5
     np.testing.assert_allclose(found[height // 2, width // 2, :3], expected, rtol=1e-6)
+
+
+def test_the_sky_of_a_picture_ends_at_the_horizon():
+    """A floor under a picture that is 1 above the horizon and 0 below has 1. Found: 0.0075 less; 0.048 less where a
+    cell sees the picture as blurred as it is wide."""
+    picture = np.zeros((128, 256, 3), np.float32)
+    picture[64:] = 1.0
+    table = materials(1, base_color=[[1.0] * 3], specular=[0.0], roughness=[1.0])
+    floor = mesh(plane_mesh("floor under a picture", 30.0), "POLYGONS")
+    lit = scene((floor, LAID), lights=(), world=World(np.ones(3), image=picture), table=table)
+    found = drawn(Case(lit, camera(EYE, (0, 0, 0.6), (64, 36)), replace(SETTINGS, bounces=0)))
+    off = found[:18, :, :3] - 1
+    assert np.abs(off).max() < 0.01
+
+
+def test_a_thin_pipe_hides_no_sky_from_itself():
+    """A spindle eight pixels wide, of fine triangles that are taken together. Found: 9e-5 and -0.0010; 0.0189
+    and -0.133 where these rise above the planes of those beside them and cells of smooth things share gathers."""
+    table = materials(1, base_color=[[1.0] * 3], specular=[0.0], roughness=[1.0])
+    thin = mesh(replace(sphere_mesh("white spindle", 64), material=None), "POLYGONS")
+    lit = scene((thin, np.diag([0.1, 0.1, 1.2, 1.0])), lights=(), world=World(np.ones(3)), table=table,
+                transparent=True)  # fmt: skip
+    found = drawn(Case(lit, camera((0, -4, 0.5), resolution=(160, 120)), replace(SETTINGS, bounces=0, samples=16)))
+    inside = found[..., 3] > 0.999
+    off = found[inside][:, :3] - 1
+    assert inside.sum() > 700
+    assert np.sqrt(np.mean(off**2)) < 3e-4
+    assert off.min() > -0.003

@@ -17,6 +17,7 @@ LEVELS = 63  # steps of shares that are packed into six bits
 MANTISSA = 4096  # steps of radiance below the largest of its channels' power of two
 ROUND = 2.0**21  # the bit of nodes whose surfels are all balls
 CAPTURED = 2.0**22  # and of nodes that hold mostly captured splats
+SHINING = 2.0**23  # and of those that mostly emit light
 EXPONENTS = 1024  # half the range of exponents
 
 
@@ -26,7 +27,8 @@ def node_rows(tree: LightTree, radiance: np.ndarray) -> np.ndarray:
     texel 0  place and radius of the node
           1  area; its first child, or for a leaf -1 less the code of its edge, 0: it has none; its octants, 8 bits,
              whether it is scattered, 1 bit, how far normals lie along the axis and how thick it is along that over
-             its radius, 6 bits each, whether it holds balls alone, 1 bit, and captured splats, 1 bit; the axis
+             its radius, 6 bits each, whether it holds balls alone, captured splats, and what emits light, 1 bit
+             each; the axis
           2  direction and length of `facing`; radiance before, in two numbers
           3  radiance behind and inside, in two numbers each
     """
@@ -58,6 +60,8 @@ def node_shapes(tree: LightTree) -> np.ndarray:
     )
     if tree.captured is not None:
         found[:, 6] += CAPTURED * tree.captured
+    if tree.shining is not None:
+        found[:, 6] += SHINING * tree.shining
     found[:, 7], found[:, 8] = octahedral(tree.axis), octahedral(tree.facing)
     found[:, 9] = np.sqrt((tree.facing**2).sum(axis=1))
     return found
