@@ -14,6 +14,8 @@ from .lattice import Lattice
 
 FILTER_SIZE = 1.5  # Blender's default
 EDGE_STEPS = 64  # across a pixel, where edges lie that `edge_share` is fitted to
+FIT_STEPS = 64  # in half of a window that Gaussians are fitted to
+FIT_RIDGE = 1e-3  # over the Gaussians' own products, of weights that are fitted
 MOVED = 0.25  # of `edge_share`: what is finer than pixels differs from one to the next, and is seen the more
 
 
@@ -66,3 +68,21 @@ def edge_share(size: float) -> float:
     blurred, own = (np.cumsum(w[pixel]) / EDGE_STEPS for w in (weights, alone))
     change = own - blurred
     return float(np.clip((change * (np.cumsum(window) - blurred)).sum() / max((change**2).sum(), 1e-12), 0, 1))
+
+
+def weights_of_blurred(lattice: Lattice, offset: tuple[float, float], size: float, deviation: float) -> np.ndarray:
+    """Returns weights (N, S) float64 as those of `filter_weights`, of sub-samples that show a picture which a Gaussian
+    has blurred: together they blur as much as the filter does. They add up to 1, and a few are below 0.
+
+    Gaussians at the sub-samples' places add up to the filter, by least squares. deviation: of the Gaussian, in pixels.
+    """
+    size, reach = max(size, lattice.spacing), filter_reach(size)
+    y, x = (axis.reshape(-1) - reach for axis in np.indices(2 * (2 * reach + 1,)))
+    at = (lattice.positions[None] + np.stack([x, y], axis=1)[:, None] + np.asarray(offset)).reshape(-1, 2)
+    apart = np.square(at[:, None] - at).sum(axis=2)
+    steps = (np.arange(-FIT_STEPS, FIT_STEPS) + 0.5) * (size / FIT_STEPS)
+    window = blackman_harris(steps, size)
+    shares = np.exp(-0.5 * np.square((at[:, :, None] - steps) / deviation)) @ (window / window.sum())
+    own = np.exp(-apart / (4 * deviation**2)) / 2  # over 2 pi deviation^2, as the shares are
+    found = np.linalg.solve(own + FIT_RIDGE * np.eye(len(at)), shares.prod(axis=1))
+    return (found / found.sum()).reshape(len(x), -1)

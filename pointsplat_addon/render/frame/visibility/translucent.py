@@ -8,11 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from ....core.numeric.pixel_filter import weights_of_blurred
 from ...device.owned import texture_of
 from ...device.protocol import Device, Target, Texture
 from ...passes.tiles import TILE, Region
 from ...passes.translucent.blend import COARSE, ENLARGE
 from ...passes.translucent.lit_splats import LitSplats
+from ...passes.translucent.places import DEVIATION, LEAST_FILTER, PLACES
 from ...passes.translucent.strata import (
     ADD_TILE,
     ADD_TILE_BLOCK,
@@ -28,6 +30,7 @@ from ...passes.translucent.strata import (
     expand_program,
     member_texels,
     open_tiles,
+    tiles_by_pixels,
     tiles_by_layer,
     touched_tiles,
     weight_rows,
@@ -37,7 +40,7 @@ from ...passes.uniforms import SampleView
 from ...plan.plan import Plan
 from .targets import VisibilityTargets
 from .tiles import PictureTile
-from .translucent_cells import TranslucentCells
+from .translucent_cells import TranslucentCells, TranslucentPlaces
 
 Run = Callable[[str, Callable[[], None]], None]  # runs a pass, and times it under a name
 
@@ -57,6 +60,8 @@ class TranslucentLayers:
         self._difference = difference_program(plan.translucent)
         self._centred = plan.translucent.centred
         self._cells: TranslucentCells | None = None
+        self._places: TranslucentPlaces | None = None
+        self._filter_size = plan.filter_size
 
     def draw(
         self, view: SampleView, tile: PictureTile, shaded: dict[str, Texture], weights: np.ndarray, coarse: bool
@@ -99,10 +104,36 @@ class TranslucentLayers:
         """Adds the differences in tiles (rows, columns) bool, which narrow splats touch, sub-sample by sub-sample."""
         if not tiles.any():
             return
-        if self._cells is None:
-            margin = round(len(weights) ** 0.5) // 2
-            self._cells = TranslucentCells(self._device, self._options, self._targets, margin, self._run)
-        self._cells.draw(view, self._lit, splats, shaded, weights, tiles)
+        margin = round(len(weights) ** 0.5) // 2
+        few = self._few_places(view, splats, tiles)
+        if few.any():
+            if self._places is None:
+                self._places = TranslucentPlaces(self._device, self._options, self._targets, margin, self._run)
+            # Pixels beside these tiles, and theirs.
+            every = np.arange(self._targets.buffer.lattice.count)
+            with (
+                self._texture(member_texels(self._targets.buffer.lattice, every), "RGBA32F") as members,
+                self._texture(widened(few)[..., None], "R32F") as around,
+            ):
+                self._run("expand", lambda: self._expand(view, 0, members, shaded, Region(around)))
+            fitted = weights_of_blurred(PLACES, view.offset, self._filter_size, DEVIATION)
+            self._places.draw(view, self._lit, splats, shaded, fitted, few)
+        if (rest := tiles & ~few).any():
+            if self._cells is None:
+                self._cells = TranslucentCells(self._device, self._options, self._targets, margin, self._run)
+            self._cells.draw(view, self._lit, splats, shaded, weights, rest)
+
+    def _few_places(
+        self, view: SampleView, splats: tuple[np.ndarray, np.ndarray], tiles: np.ndarray
+    ) -> np.ndarray:
+        """Returns in which of tiles (rows, columns) bool a few places of each pixel are enough, (rows, columns) bool."""
+        options, groups = self._options, self._targets.groups
+        if options.kernels or options.holdout or self._filter_size < LEAST_FILTER:
+            return np.zeros_like(tiles)
+        if self._targets.buffer.lattice.count <= PLACES.count:
+            return np.zeros_like(tiles)
+        edges = groups.layers > 1
+        return tiles & ~tiles_by_pixels(edges, tiles)
 
     def _add(self, tile: PictureTile) -> None:
         """Adds the differences of a tile to the sums."""
@@ -255,5 +286,6 @@ class TranslucentLayers:
         region.draw(self._device, program, layers.difference_target, uniforms=record, textures=textures, blend=True)
 
     def release(self) -> None:
-        if self._cells is not None:
-            self._cells.release()
+        for cells in (self._cells, self._places):
+            if cells is not None:
+                cells.release()

@@ -8,7 +8,7 @@ import numpy as np
 
 from ....core.numeric.lattice import Lattice
 from ...device.owned import Owned, texture_of
-from ...device.protocol import Device, Texture, releases_on_failure
+from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ...passes.tiles import Region
 from ...passes.translucent.cells import (
     DIFFERENCE_CELLS,
@@ -24,8 +24,17 @@ from ...passes.translucent.cells import (
 )
 from ...passes.translucent.lit_splats import LitSplats
 from ...passes.translucent.options import TranslucentOptions
+from ...passes.translucent.places import (
+    DEVIATION,
+    DIFFERENCE_PLACES,
+    DIFFERENCE_PLACES_PROGRAM,
+    EXPAND_PLACES,
+    EXPAND_PLACES_PROGRAM,
+    PLACES,
+)
 from ...passes.translucent.strata import member_texels, weight_rows, widened
 from ...passes.uniforms import SampleView
+from ...passes.visibility.buffer import lattice_values
 from .targets import VisibilityTargets
 
 Run = Callable[[str, Callable[[], None]], None]  # runs a pass, and times it under a name
@@ -33,6 +42,8 @@ Run = Callable[[str, Callable[[], None]], None]  # runs a pass, and times it und
 
 class TranslucentCells:
     """The sub-samples of one block of pixels, over which splats are blended."""
+
+    low_pass = 0.0  # pixels^2: variance by which splats are widened
 
     @releases_on_failure
     def __init__(
@@ -45,16 +56,19 @@ class TranslucentCells:
         self._cells = lattice.size(largest_block(targets.size_of_tile, margin))
         self._layer, self._place = owned.texture(self._cells, "RGBA32F"), owned.texture(self._cells, "R32F")
         self._cut = owned.texture(self._cells, "RGBA32F") if options.holdout else None
-        self._expanded = owned.target(self._layer, self._place)
+        self._expanded = self._expanded_target()
         self._blended = owned.target(self._layer, *([] if self._cut is None else [self._cut]))
         self._cut_target = None if self._cut is None else owned.target(self._cut)
-        every = np.arange(lattice.count)
-        self._numbers = owned.filled(number_texels(lattice), "R32F")
-        self._members = owned.filled(member_texels(lattice, every), "RGBA32F")
+        self._members = owned.filled(member_texels(lattice, np.arange(lattice.count)), "RGBA32F")
 
     @property
     def _lattice(self) -> Lattice:
         return self._targets.buffer.lattice
+
+    def _expanded_target(self) -> Target:
+        """What `_expand` draws into."""
+        self._numbers = self._owned.filled(number_texels(self._lattice), "R32F")
+        return self._owned.target(self._layer, self._place)
 
     def draw(
         self,
@@ -115,10 +129,12 @@ class TranslucentCells:
         self._device.draw(program, self._expanded, uniforms=record, textures=textures, vertices=6)
 
     def _blend(self, view: SampleView, lit: LitSplats, found: PixelBlock, splats: np.ndarray, variance: float) -> None:
-        p, q, *origin = self._targets.buffer.values["lattice"]  # pyright: ignore[reportGeneralTypeIssues]
-        corner = first_cell(self._lattice, found, self._targets.size_of_tile)
+        lattice, size = self._lattice, self._targets.size_of_tile
+        p, q, *origin = lattice_values(lattice, size)["lattice"]  # pyright: ignore[reportGeneralTypeIssues]
+        corner = first_cell(lattice, found, size)
         moved = origin[0] - corner[0], origin[1] - corner[1]
-        lit.draw_turned(self._blended, view, self._place, (p, q), moved, splats, variance)
+        low_pass = self.low_pass * lattice.count
+        lit.draw_turned(self._blended, view, self._place, (p, q), moved, splats, variance, low_pass=low_pass)
 
     def _subtract(
         self, view: SampleView, found: PixelBlock, rows: Texture, inside: Region, shaded: dict[str, Texture]
@@ -147,3 +163,55 @@ class TranslucentCells:
 
     def release(self) -> None:
         self._owned.release()
+
+
+class TranslucentPlaces(TranslucentCells):
+    """The places in the pixels of one block, fewer than sub-samples, over which widened splats are blended.
+
+    What is opaque in pixels and its depth are in the textures of the picture's layers: the first layer of each.
+    """
+
+    low_pass = DEVIATION**2
+
+    @property
+    def _lattice(self) -> Lattice:
+        return PLACES
+
+    def _expanded_target(self) -> Target:
+        self._opaque = self._owned.texture(self._cells, "RGBA32F")
+        return self._owned.target(self._layer, self._opaque, self._place)
+
+    def _expand(self, view: SampleView, found: PixelBlock, around: Texture, shaded: dict[str, Texture]) -> None:
+        layers, size = self._targets.translucent, self._targets.size_of_tile
+        assert layers is not None and layers.opaque is not None
+        used = (side / whole for side, whole in zip(PLACES.size(found.size), self._cells, strict=True))
+        record = view.record(
+            EXPAND_PLACES,
+            corner=first_cell(PLACES, found, size),
+            low=found.low,
+            high=found.high,
+            rectangle=(0.0, 0.0, *used),
+            **lattice_values(PLACES, size),
+        )
+        textures = {"ps_opaque": layers.opaque, "ps_place": layers.place, "ps_wanted": around}
+        self._device.draw(EXPAND_PLACES_PROGRAM, self._expanded, uniforms=record, textures=textures, vertices=6)
+
+    def _subtract(
+        self, view: SampleView, found: PixelBlock, rows: Texture, inside: Region, shaded: dict[str, Texture]
+    ) -> None:
+        layers, size = self._targets.translucent, self._targets.size_of_tile
+        assert layers is not None
+        record = view.record(
+            DIFFERENCE_PLACES,
+            corner=first_cell(PLACES, found, size),
+            size_of_tile=size,
+            sub_samples=PLACES.count,
+            neighbours=rows.size[1],
+            **lattice_values(PLACES, size),
+        )
+        textures = {"ps_layer": self._layer, "ps_opaque": self._opaque}
+        textures |= {"ps_members": self._members, "ps_weights": rows}
+        inside.draw(
+            self._device, DIFFERENCE_PLACES_PROGRAM, layers.difference_target, uniforms=record, textures=textures,
+            blend=True,
+        )  # fmt: skip

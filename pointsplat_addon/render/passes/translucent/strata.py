@@ -182,6 +182,16 @@ def tiles_by_layer(layers: np.ndarray, tiles: np.ndarray) -> list[np.ndarray]:
     return [most > layer for layer in range(max(int(most.max()), 1))]
 
 
+def tiles_by_pixels(pixels: np.ndarray, tiles: np.ndarray) -> np.ndarray:
+    """Returns which of as many tiles as `tiles` has, (rows, columns) bool, hold one of pixels (H, W) bool or lie beside
+    one."""
+    rows, columns = tiles.shape
+    height, width = pixels.shape
+    padded = np.pad(pixels, [(1, rows * TILE - height + 1), (1, columns * TILE - width + 1)])
+    around = np.any([padded[y : y + rows * TILE, x : x + columns * TILE] for y in range(3) for x in range(3)], axis=0)
+    return around.reshape(rows, TILE, columns, TILE).any(axis=(1, 3))
+
+
 def widened(tiles: np.ndarray) -> np.ndarray:
     """Returns tiles (rows, columns) bool and their eight neighbours."""
     rows, columns = tiles.shape

@@ -1,0 +1,20 @@
+// What translucent splats change at the places of the pixel and of its neighbours where they are looked at: what is shown
+// there (ps_layer, one texel a cell, from u.corner on) less what is opaque. Rows of ps_weights as in difference.frag; texels
+// of ps_members: each place's number and cell.
+
+#include "lib/visibility/lattice.glsl"
+
+void main()
+{
+  ivec2 pixel = ivec2(gl_FragCoord.xy), last = u.size_of_tile - 1;
+  out_difference = vec4(0.0);
+  for (int row = 0; row < u.neighbours; row++) {
+    ivec2 at = pixel + ivec2(texelFetch(ps_weights, ivec2(0, row), 0).x, texelFetch(ps_weights, ivec2(1, row), 0).x);
+    ivec2 central = ps_central_cell(clamp(at, ivec2(0), last)) - u.corner;
+    for (int i = 0; i < u.sub_samples; i++) {
+      ivec2 cell = central + ivec2(texelFetch(ps_members, ivec2(i, 0), 0).yz);
+      float weight = texelFetch(ps_weights, ivec2(3 + i, row), 0).x;
+      out_difference += weight * (texelFetch(ps_layer, cell, 0) - texelFetch(ps_opaque, cell, 0));
+    }
+  }
+}
