@@ -10,6 +10,11 @@ void main()
 {
   ivec2 pixel = ivec2(gl_FragCoord.xy), last = textureSize(ps_first, 0) - 1;
   out_difference = vec4(0.0);
+#ifdef PS_PART
+  if (texelFetch(ps_part, pixel, 0).x == 0.0) {
+    discard;
+  }
+#endif
   for (int row = 0; row < u.neighbours; row++) {
     ivec2 at = pixel + ivec2(texelFetch(ps_weights, ivec2(0, row), 0).x, texelFetch(ps_weights, ivec2(1, row), 0).x);
     at = clamp(at, ivec2(0), last);

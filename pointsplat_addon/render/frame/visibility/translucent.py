@@ -14,7 +14,7 @@ from ...device.protocol import Device, Target, Texture
 from ...passes.tiles import TILE, Region
 from ...passes.translucent.blend import COARSE, ENLARGE
 from ...passes.translucent.lit_splats import LitSplats
-from ...passes.translucent.places import DEVIATION, LEAST_FILTER, PLACES
+from ...passes.translucent.places import DEVIATION, LEAST_FILTER, MOST_EXACT, PLACES, steep_pixels
 from ...passes.translucent.strata import (
     ADD_TILE,
     ADD_TILE_BLOCK,
@@ -30,8 +30,8 @@ from ...passes.translucent.strata import (
     expand_program,
     member_texels,
     open_tiles,
-    tiles_by_pixels,
     tiles_by_layer,
+    tiles_with,
     touched_tiles,
     weight_rows,
     widened,
@@ -105,35 +105,52 @@ class TranslucentLayers:
         if not tiles.any():
             return
         margin = round(len(weights) ** 0.5) // 2
-        few = self._few_places(view, splats, tiles)
-        if few.any():
-            if self._places is None:
-                self._places = TranslucentPlaces(self._device, self._options, self._targets, margin, self._run)
-            # Pixels beside these tiles, and theirs.
-            every = np.arange(self._targets.buffer.lattice.count)
-            with (
-                self._texture(member_texels(self._targets.buffer.lattice, every), "RGBA32F") as members,
-                self._texture(widened(few)[..., None], "R32F") as around,
-            ):
-                self._run("expand", lambda: self._expand(view, 0, members, shaded, Region(around)))
-            fitted = weights_of_blurred(PLACES, view.offset, self._filter_size, DEVIATION)
-            self._places.draw(view, self._lit, splats, shaded, fitted, few)
-        if (rest := tiles & ~few).any():
-            if self._cells is None:
-                self._cells = TranslucentCells(self._device, self._options, self._targets, margin, self._run)
-            self._cells.draw(view, self._lit, splats, shaded, weights, rest)
+        exact = self._exact_pixels(view, splats, tiles, margin)
+        if exact is not None:
+            self._draw_places(view, splats, shaded, tiles_with(~exact) & tiles, ~exact, margin)
+            tiles = tiles_with(exact) & tiles
+        if not tiles.any():
+            return
+        if self._cells is None:
+            self._cells = TranslucentCells(self._device, self._options, self._targets, margin, self._run)
+        self._cells.draw(view, self._lit, splats, shaded, weights, tiles, exact)
 
-    def _few_places(
-        self, view: SampleView, splats: tuple[np.ndarray, np.ndarray], tiles: np.ndarray
-    ) -> np.ndarray:
-        """Returns in which of tiles (rows, columns) bool a few places of each pixel are enough, (rows, columns) bool."""
-        options, groups = self._options, self._targets.groups
-        if options.kernels or options.holdout or self._filter_size < LEAST_FILTER:
-            return np.zeros_like(tiles)
-        if self._targets.buffer.lattice.count <= PLACES.count:
-            return np.zeros_like(tiles)
-        edges = groups.layers > 1
-        return tiles & ~tiles_by_pixels(edges, tiles)
+    def _draw_places(
+        self,
+        view: SampleView,
+        splats: tuple[np.ndarray, np.ndarray],
+        shaded: dict[str, Texture],
+        tiles: np.ndarray,
+        part: np.ndarray,
+        margin: int,
+    ) -> None:
+        """Adds the differences in pixels (H, W) bool of tiles (rows, columns) bool, at a few places of each."""
+        lattice = self._targets.buffer.lattice
+        with (
+            self._texture(member_texels(lattice, np.arange(lattice.count)), "RGBA32F") as members,
+            self._texture(widened(tiles)[..., None], "R32F") as around,
+        ):
+            self._run("expand", lambda: self._expand(view, 0, members, shaded, Region(around)))
+        if self._places is None:
+            self._places = TranslucentPlaces(self._device, self._options, self._targets, margin, self._run)
+        fitted = weights_of_blurred(PLACES, view.offset, self._filter_size, DEVIATION)
+        self._places.draw(view, self._lit, splats, shaded, fitted, tiles, None if part.all() else part)
+
+    def _exact_pixels(
+        self, view: SampleView, splats: tuple[np.ndarray, np.ndarray], tiles: np.ndarray, margin: int
+    ) -> np.ndarray | None:
+        """Returns in which pixels each sub-sample has to be looked at, (H, W) bool; None: everywhere.
+
+        tiles: (rows, columns) bool, that narrow splats touch. margin: pixels around a pixel that its filter takes in.
+        """
+        options, lattice = self._options, self._targets.buffer.lattice
+        if options.kernels or options.holdout or lattice.count <= PLACES.count or self._filter_size < LEAST_FILTER:
+            return None
+        layers = self._targets.groups.layers
+        exact = (layers > 1) | steep_pixels(*splats, view.principal_point, (layers.shape[1], layers.shape[0]))
+        exact = widened(exact, margin)
+        inside = tiles.repeat(TILE, axis=0).repeat(TILE, axis=1)[: exact.shape[0], : exact.shape[1]]
+        return None if np.count_nonzero(exact & inside) > MOST_EXACT * np.count_nonzero(inside) else exact
 
     def _add(self, tile: PictureTile) -> None:
         """Adds the differences of a tile to the sums."""

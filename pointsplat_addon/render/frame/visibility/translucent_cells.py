@@ -31,8 +31,9 @@ from ...passes.translucent.places import (
     EXPAND_PLACES,
     EXPAND_PLACES_PROGRAM,
     PLACES,
+    in_part,
 )
-from ...passes.translucent.strata import member_texels, weight_rows, widened
+from ...passes.translucent.strata import member_texels, splats_over, weight_rows, widened
 from ...passes.uniforms import SampleView
 from ...passes.visibility.buffer import lattice_values
 from .targets import VisibilityTargets
@@ -43,7 +44,7 @@ Run = Callable[[str, Callable[[], None]], None]  # runs a pass, and times it und
 class TranslucentCells:
     """The sub-samples of one block of pixels, over which splats are blended."""
 
-    low_pass = 0.0  # pixels^2: variance by which splats are widened
+    low_pass = 0.0  # pixels^2: variance by which splats are widened, and drawn with a shorter kernel
 
     @releases_on_failure
     def __init__(
@@ -78,16 +79,42 @@ class TranslucentCells:
         shaded: dict[str, Texture],
         weights: np.ndarray,
         tiles: np.ndarray,
+        part: np.ndarray | None = None,
     ) -> None:
         """Adds what splats change in tiles (rows, columns) bool to the differences.
+
+        part: (H, W) bool, the pixels of these tiles that are wanted; None: all.
 
         splats: centre and shape, (N, 4) each, as the pass `light` left them. `shaded`: what groups show, by sampler
         name. weights: (N, S), of the pixel filter.
         """
+        mask = None if part is None else texture_of(self._device, part[..., None], "R32F")
+        try:
+            self._draw_blocks(view, lit, splats, shaded, weights, tiles, part, mask)
+        finally:
+            if mask is not None:
+                mask.release()
+
+    def _draw_blocks(
+        self,
+        view: SampleView,
+        lit: LitSplats,
+        splats: tuple[np.ndarray, np.ndarray],
+        shaded: dict[str, Texture],
+        weights: np.ndarray,
+        tiles: np.ndarray,
+        part: np.ndarray | None,
+        mask: Texture | None,
+    ) -> None:
+        """`draw`, with a texture of the part, too."""
         device, size = self._device, self._targets.size_of_tile
         rows = texture_of(device, weight_rows(weights, np.arange(self._lattice.count)), "R32F")
         # The pixel filter takes in pixels of tiles beside those that change.
         around = texture_of(device, widened(tiles)[..., None], "R32F")
+        seen = None
+        if part is not None:
+            seen = np.zeros(len(splats[0]), bool)
+            seen[splats_over(widened(part, self._margin), *splats, view.principal_point, tile=1)] = True
         try:
             for found, own in blocks(tiles, size, self._margin):
                 inside = texture_of(device, own[..., None], "R32F")
@@ -96,6 +123,8 @@ class TranslucentCells:
                     if self._cut_target is not None:
                         device.clear(self._cut_target)
                     some = splats_in(found, *splats, view.principal_point)
+                    if seen is not None:
+                        some = some[seen[some]]
                     _, shape = splats
                     widest = float((shape[some, 0] + shape[some, 2]).max(initial=0.0))
                     self._run(
@@ -104,7 +133,9 @@ class TranslucentCells:
                     )
                     self._run(
                         "difference",
-                        lambda found=found, inside=inside: self._subtract(view, found, rows, Region(inside), shaded),
+                        lambda found=found, inside=inside: self._subtract(
+                            view, found, rows, Region(inside), shaded, mask
+                        ),
                     )
                 finally:
                     inside.release()
@@ -134,10 +165,18 @@ class TranslucentCells:
         corner = first_cell(lattice, found, size)
         moved = origin[0] - corner[0], origin[1] - corner[1]
         low_pass = self.low_pass * lattice.count
-        lit.draw_turned(self._blended, view, self._place, (p, q), moved, splats, variance, low_pass=low_pass)
+        lit.draw_turned(
+            self._blended, view, self._place, (p, q), moved, splats, variance, low_pass=low_pass, short=low_pass > 0
+        )
 
     def _subtract(
-        self, view: SampleView, found: PixelBlock, rows: Texture, inside: Region, shaded: dict[str, Texture]
+        self,
+        view: SampleView,
+        found: PixelBlock,
+        rows: Texture,
+        inside: Region,
+        shaded: dict[str, Texture],
+        mask: Texture | None,
     ) -> None:
         targets, lattice = self._targets, self._lattice
         assert targets.translucent is not None
@@ -151,6 +190,8 @@ class TranslucentCells:
         )
         textures = self._shown(shaded) | {"ps_layer": self._layer, "ps_members": self._members, "ps_weights": rows}
         textures |= {} if self._cut is None else {"ps_cut": self._cut}
+        if mask is not None:
+            program, textures = in_part(program), textures | {"ps_part": mask}
         target = targets.translucent.difference_target
         inside.draw(self._device, program, target, uniforms=record, textures=textures, blend=True)
 
@@ -183,7 +224,8 @@ class TranslucentPlaces(TranslucentCells):
 
     def _expand(self, view: SampleView, found: PixelBlock, around: Texture, shaded: dict[str, Texture]) -> None:
         layers, size = self._targets.translucent, self._targets.size_of_tile
-        assert layers is not None and layers.opaque is not None
+        assert layers is not None
+        assert layers.opaque is not None
         used = (side / whole for side, whole in zip(PLACES.size(found.size), self._cells, strict=True))
         record = view.record(
             EXPAND_PLACES,
@@ -197,7 +239,13 @@ class TranslucentPlaces(TranslucentCells):
         self._device.draw(EXPAND_PLACES_PROGRAM, self._expanded, uniforms=record, textures=textures, vertices=6)
 
     def _subtract(
-        self, view: SampleView, found: PixelBlock, rows: Texture, inside: Region, shaded: dict[str, Texture]
+        self,
+        view: SampleView,
+        found: PixelBlock,
+        rows: Texture,
+        inside: Region,
+        shaded: dict[str, Texture],
+        mask: Texture | None,
     ) -> None:
         layers, size = self._targets.translucent, self._targets.size_of_tile
         assert layers is not None
@@ -211,7 +259,7 @@ class TranslucentPlaces(TranslucentCells):
         )
         textures = {"ps_layer": self._layer, "ps_opaque": self._opaque}
         textures |= {"ps_members": self._members, "ps_weights": rows}
-        inside.draw(
-            self._device, DIFFERENCE_PLACES_PROGRAM, layers.difference_target, uniforms=record, textures=textures,
-            blend=True,
-        )  # fmt: skip
+        program = DIFFERENCE_PLACES_PROGRAM
+        if mask is not None:
+            program, textures = in_part(program), textures | {"ps_part": mask}
+        inside.draw(self._device, program, layers.difference_target, uniforms=record, textures=textures, blend=True)

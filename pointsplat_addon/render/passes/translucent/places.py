@@ -9,15 +9,26 @@ that of what is blurred; such tiles, and those with edges of what is opaque, are
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+
 from ....core.numeric.lattice import FEW
+from ....core.splat.kernel import SUPPORT
 from ....shading.interface import Interface
 from ..tiles import TILE_DEFINE
 from ..uniforms import CAMERA_FIELDS, RECTANGLE_FIELDS, block
 from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS
 from .cells import CORNER_FIELD
+from .strata import touched_tiles
 
 PLACES = FEW
-DEVIATION = 0.25  # pixels: of the Gaussian by which splats are widened
+DEVIATION = 0.2  # pixels: of the Gaussian by which splats are widened
+DENSE = 0.2  # optical depth through the middle of a splat from which widening it would change what it hides
+STEEP = (
+    0.05  # square of the change of optical depths from pixel to pixel, over what they leave, up to which it does not
+)
+MOST_EXACT = 0.5  # share of the pixels that need each sub-sample, up to which the others are drawn apart
 LEAST_FILTER = 1.4  # size of the pixel filter from which it is wide enough to leave weights for the rest of it
 EXPAND_PLACES = block(
     "ExpandPlaces", CAMERA_FIELDS, LATTICE_FIELDS, CORNER_FIELD, RECTANGLE_FIELDS, (("ivec2", "low"), ("ivec2", "high"))
@@ -32,8 +43,46 @@ EXPAND_PLACES_PROGRAM = Interface(
     outputs=(("vec4", "out_layer"), ("vec4", "out_opaque"), ("float", "out_place")),
     defines=(LATTICE_DEFINE, TILE_DEFINE, ("PS_DEVIATION", repr(DEVIATION))),
 )  # fmt: skip
+PART_DEFINE, PART_SAMPLER = ("PS_PART", "1"), ("FLOAT_2D", "ps_part")  # only where that is not 0 is anything added
 DIFFERENCE_PLACES_PROGRAM = Interface(
     "difference", fragment="translucent/difference_places.frag", block=DIFFERENCE_PLACES,
     samplers=tuple(("FLOAT_2D", name) for name in ("ps_layer", "ps_opaque", "ps_members", "ps_weights")),
     outputs=(("vec4", "out_difference"),), defines=(LATTICE_DEFINE,),
 )  # fmt: skip
+
+
+def in_part(program: Interface) -> Interface:
+    """Returns the program that adds differences in some pixels alone: where ps_part is not 0."""
+    return replace(program, samplers=(*program.samplers, PART_SAMPLER), defines=(*program.defines, PART_DEFINE))
+
+
+def steep_pixels(
+    centre: np.ndarray, shape: np.ndarray, principal_point: tuple[float, float], size: tuple[int, int]
+) -> np.ndarray:
+    """Returns in which pixels optical depths change too fast for splats to be widened, or splats are too dense for
+    that, (H, W) bool.
+
+    centre, shape: (N, 4) as the pass `light` left them, of a view with this principal point. size: (width, height) of
+    the picture in pixels.
+    """
+    width, height = size
+    with np.errstate(all="ignore"):
+        area = np.sqrt(np.maximum(shape[:, 0] * shape[:, 2] - np.square(shape[:, 1]), 0))
+        mass = centre[:, 3] * area * np.float32(np.pi * SUPPORT / 5)
+        x, y = (np.floor(centre[:, k] + np.float32(principal_point[k])) for k in (0, 1))
+        there = (mass > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
+    pixel = y[there].astype(np.int64) * width + x[there].astype(np.int64)
+    depth = _smooth(np.bincount(pixel, mass[there], width * height).reshape(height, width))
+    change = sum(np.square(np.gradient(depth, axis=axis)) if depth.shape[axis] > 1 else 0.0 for axis in (0, 1))
+    found = change * np.exp(-depth) > STEEP
+    if (dense := centre[:, 3] > DENSE).any():
+        found |= touched_tiles(centre[dense], shape[dense], principal_point, size, 0.0, tile=1)
+    return found
+
+
+def _smooth(values: np.ndarray) -> np.ndarray:
+    """Returns values (H, W), each with a quarter of its neighbours along both axes."""
+    rows = np.pad(values, [(1, 1), (0, 0)], mode="edge")
+    rows = 0.25 * rows[:-2] + 0.5 * rows[1:-1] + 0.25 * rows[2:]
+    columns = np.pad(rows, [(0, 0), (1, 1)], mode="edge")
+    return 0.25 * columns[:, :-2] + 0.5 * columns[:, 1:-1] + 0.25 * columns[:, 2:]
