@@ -8,11 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ....core.numeric.pixel_filter import weights_of_blurred
+from ....core.numeric.pixel_filter import filter_reach, weights_of_blurred
 from ...device.owned import texture_of
 from ...device.protocol import Device, Target, Texture
 from ...passes.tiles import TILE, Region
 from ...passes.translucent.blend import COARSE, ENLARGE
+from ...passes.translucent.centres import Centres, centres_of
 from ...passes.translucent.lit_splats import LitSplats
 from ...passes.translucent.places import DEVIATION, LEAST_FILTER, MOST_EXACT, PLACES, steep_pixels
 from ...passes.translucent.strata import (
@@ -82,13 +83,14 @@ class TranslucentLayers:
             return
         around = len(weights) ** 0.5 // 2 + 2 * COARSE
         splats = self._read_splats()
-        touched, narrow = self._touched_tiles(view, *splats, around)
+        centres = centres_of(*splats, view.principal_point, view.size)
+        touched, narrow = self._touched_tiles(view, *splats, around, centres)
         every = np.arange(lattice.count)
         if coarse:
             weights = weights / weights[:, 0].sum()
             self._draw_layers(view, every[:1], weights, shaded, touched, COARSE)
         else:
-            self._draw_narrow(view, splats, shaded, weights, narrow)
+            self._draw_narrow(view, splats, centres, shaded, weights, narrow)
             if (wide := touched & ~narrow).any() or not narrow.any():
                 self._draw_layers(view, every, weights, shaded, wide)
         self._add(tile)
@@ -97,6 +99,7 @@ class TranslucentLayers:
         self,
         view: SampleView,
         splats: tuple[np.ndarray, np.ndarray],
+        centres: Centres | None,
         shaded: dict[str, Texture],
         weights: np.ndarray,
         tiles: np.ndarray,
@@ -105,24 +108,25 @@ class TranslucentLayers:
         if not tiles.any():
             return
         margin = round(len(weights) ** 0.5) // 2
-        exact = self._exact_pixels(view, splats, tiles, margin)
+        exact = None if centres is None else self._exact_pixels(splats, centres, tiles, margin)
         if exact is not None:
-            self._draw_places(view, splats, shaded, tiles_with(~exact) & tiles, ~exact, margin)
+            assert centres is not None
+            self._draw_places(view, splats, centres, shaded, tiles_with(~exact) & tiles, ~exact)
             tiles = tiles_with(exact) & tiles
         if not tiles.any():
             return
         if self._cells is None:
             self._cells = TranslucentCells(self._device, self._options, self._targets, margin, self._run)
-        self._cells.draw(view, self._lit, splats, shaded, weights, tiles, exact)
+        self._cells.draw(view, self._lit, splats, shaded, weights, tiles, exact, centres)
 
     def _draw_places(
         self,
         view: SampleView,
         splats: tuple[np.ndarray, np.ndarray],
+        centres: Centres,
         shaded: dict[str, Texture],
         tiles: np.ndarray,
         part: np.ndarray,
-        margin: int,
     ) -> None:
         """Adds the differences in pixels (H, W) bool of tiles (rows, columns) bool, at a few places of each."""
         lattice = self._targets.buffer.lattice
@@ -132,12 +136,13 @@ class TranslucentLayers:
         ):
             self._run("expand", lambda: self._expand(view, 0, members, shaded, Region(around)))
         if self._places is None:
+            margin = filter_reach(self._filter_size)
             self._places = TranslucentPlaces(self._device, self._options, self._targets, margin, self._run)
         fitted = weights_of_blurred(PLACES, view.offset, self._filter_size, DEVIATION)
-        self._places.draw(view, self._lit, splats, shaded, fitted, tiles, None if part.all() else part)
+        self._places.draw(view, self._lit, splats, shaded, fitted, tiles, None if part.all() else part, centres)
 
     def _exact_pixels(
-        self, view: SampleView, splats: tuple[np.ndarray, np.ndarray], tiles: np.ndarray, margin: int
+        self, splats: tuple[np.ndarray, np.ndarray], centres: Centres, tiles: np.ndarray, margin: int
     ) -> np.ndarray | None:
         """Returns in which pixels each sub-sample has to be looked at, (H, W) bool; None: everywhere.
 
@@ -147,7 +152,7 @@ class TranslucentLayers:
         if options.kernels or options.holdout or lattice.count <= PLACES.count or self._filter_size < LEAST_FILTER:
             return None
         layers = self._targets.groups.layers
-        exact = (layers > 1) | steep_pixels(*splats, view.principal_point, (layers.shape[1], layers.shape[0]))
+        exact = (layers > 1) | steep_pixels(*splats, centres)
         exact = widened(exact, margin)
         inside = tiles.repeat(TILE, axis=0).repeat(TILE, axis=1)[: exact.shape[0], : exact.shape[1]]
         return None if np.count_nonzero(exact & inside) > MOST_EXACT * np.count_nonzero(inside) else exact
@@ -170,13 +175,16 @@ class TranslucentLayers:
         return centre, shape
 
     def _touched_tiles(
-        self, view: SampleView, centre: np.ndarray, shape: np.ndarray, around: float
+        self, view: SampleView, centre: np.ndarray, shape: np.ndarray, around: float, centres: Centres | None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Returns which tiles splats touch, and which of them narrow ones touch, (rows, columns) bool each.
 
         centre, shape: (N, 4) each. around: pixels around a splat that count as touched.
         """
         narrow = are_narrow(shape, self._options.kernels)
+        if centres is not None and narrow.all():
+            touched = centres.tiles(around)
+            return touched, touched
         where = view.principal_point, view.size, around
         touched = touched_tiles(centre, shape, *where)
         if narrow.all():

@@ -22,6 +22,7 @@ from ...passes.translucent.cells import (
     number_texels,
     splats_in,
 )
+from ...passes.translucent.centres import Centres
 from ...passes.translucent.lit_splats import LitSplats
 from ...passes.translucent.options import TranslucentOptions
 from ...passes.translucent.places import (
@@ -33,7 +34,7 @@ from ...passes.translucent.places import (
     PLACES,
     in_part,
 )
-from ...passes.translucent.strata import member_texels, splats_over, weight_rows, widened
+from ...passes.translucent.strata import member_texels, weight_rows, widened
 from ...passes.uniforms import SampleView
 from ...passes.visibility.buffer import lattice_values
 from .targets import VisibilityTargets
@@ -80,17 +81,18 @@ class TranslucentCells:
         weights: np.ndarray,
         tiles: np.ndarray,
         part: np.ndarray | None = None,
+        centres: Centres | None = None,
     ) -> None:
         """Adds what splats change in tiles (rows, columns) bool to the differences.
 
-        part: (H, W) bool, the pixels of these tiles that are wanted; None: all.
+        part: (H, W) bool, the pixels of these tiles that are wanted; None: all. `centres`: of the splats, if they are known.
 
         splats: centre and shape, (N, 4) each, as the pass `light` left them. `shaded`: what groups show, by sampler
         name. weights: (N, S), of the pixel filter.
         """
         mask = None if part is None else texture_of(self._device, part[..., None], "R32F")
         try:
-            self._draw_blocks(view, lit, splats, shaded, weights, tiles, part, mask)
+            self._draw_blocks(view, lit, splats, shaded, weights, tiles, part, mask, centres)
         finally:
             if mask is not None:
                 mask.release()
@@ -105,16 +107,14 @@ class TranslucentCells:
         tiles: np.ndarray,
         part: np.ndarray | None,
         mask: Texture | None,
+        centres: Centres | None,
     ) -> None:
         """`draw`, with a texture of the part, too."""
         device, size = self._device, self._targets.size_of_tile
         rows = texture_of(device, weight_rows(weights, np.arange(self._lattice.count)), "R32F")
         # The pixel filter takes in pixels of tiles beside those that change.
         around = texture_of(device, widened(tiles)[..., None], "R32F")
-        seen = None
-        if part is not None:
-            seen = np.zeros(len(splats[0]), bool)
-            seen[splats_over(widened(part, self._margin), *splats, view.principal_point, tile=1)] = True
+        reached = None if part is None else widened(part, self._margin)
         try:
             for found, own in blocks(tiles, size, self._margin):
                 inside = texture_of(device, own[..., None], "R32F")
@@ -122,9 +122,7 @@ class TranslucentCells:
                     self._run("expand", lambda found=found: self._expand(view, found, around, shaded))
                     if self._cut_target is not None:
                         device.clear(self._cut_target)
-                    some = splats_in(found, *splats, view.principal_point)
-                    if seen is not None:
-                        some = some[seen[some]]
+                    some = splats_of(found, splats, view, centres, reached)
                     _, shape = splats
                     widest = float((shape[some, 0] + shape[some, 2]).max(initial=0.0))
                     self._run(
@@ -263,3 +261,20 @@ class TranslucentPlaces(TranslucentCells):
         if mask is not None:
             program, textures = in_part(program), textures | {"ps_part": mask}
         inside.draw(self._device, program, layers.difference_target, uniforms=record, textures=textures, blend=True)
+
+
+def splats_of(
+    found: PixelBlock,
+    splats: tuple[np.ndarray, np.ndarray],
+    view: SampleView,
+    centres: Centres | None,
+    reached: np.ndarray | None,
+) -> np.ndarray:
+    """Returns which splats reach into a block, or into those of its pixels that are `reached` (H, W) bool, (K,) int64.
+    Where `centres` are known, some others, too."""
+    if centres is None:
+        return splats_in(found, *splats, view.principal_point)
+    width, height = centres.size
+    inside = np.zeros((height, width), bool)
+    inside[found.low[1] : found.high[1], found.low[0] : found.high[0]] = True
+    return centres.near(inside if reached is None else inside & reached)

@@ -20,7 +20,7 @@ from ..tiles import TILE_DEFINE
 from ..uniforms import CAMERA_FIELDS, RECTANGLE_FIELDS, block
 from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS
 from .cells import CORNER_FIELD
-from .strata import touched_tiles
+from .centres import Centres
 
 PLACES = FEW
 DEVIATION = 0.2  # pixels: of the Gaussian by which splats are widened
@@ -56,28 +56,22 @@ def in_part(program: Interface) -> Interface:
     return replace(program, samplers=(*program.samplers, PART_SAMPLER), defines=(*program.defines, PART_DEFINE))
 
 
-def steep_pixels(
-    centre: np.ndarray, shape: np.ndarray, principal_point: tuple[float, float], size: tuple[int, int]
-) -> np.ndarray:
+def steep_pixels(centre: np.ndarray, shape: np.ndarray, centres: Centres) -> np.ndarray:
     """Returns in which pixels optical depths change too fast for splats to be widened, or splats are too dense for
     that, (H, W) bool.
 
-    centre, shape: (N, 4) as the pass `light` left them, of a view with this principal point. size: (width, height) of
-    the picture in pixels.
+    centre, shape: (N, 4) as the pass `light` left them. centres: of these.
     """
-    width, height = size
+    inner = slice(centres.reach, -centres.reach)
     with np.errstate(all="ignore"):
-        area = np.sqrt(np.maximum(shape[:, 0] * shape[:, 2] - np.square(shape[:, 1]), 0))
+        area = np.sqrt(shape[:, 0] * shape[:, 2] - shape[:, 1] * shape[:, 1])
         mass = centre[:, 3] * area * np.float32(np.pi * SUPPORT / 5)
-        x, y = (np.floor(centre[:, k] + np.float32(principal_point[k])) for k in (0, 1))
-        there = (mass > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
-    pixel = y[there].astype(np.int64) * width + x[there].astype(np.int64)
-    depth = _smooth(np.bincount(pixel, mass[there], width * height).reshape(height, width))
-    change = sum(np.square(np.gradient(depth, axis=axis)) if depth.shape[axis] > 1 else 0.0 for axis in (0, 1))
+    depth = _smooth(centres.sums(mass))
+    change = sum(np.square(np.gradient(depth, axis=axis)) for axis in (0, 1) if depth.shape[axis] > 1)
     found = change * np.exp(-depth) > STEEP
     if (dense := centre[:, 3] > DENSE).any():
-        found |= touched_tiles(centre[dense], shape[dense], principal_point, size, 0.0, tile=1)
-    return found
+        found |= replace(centres, pixel=np.where(dense, centres.pixel, -1)).touched()
+    return found[inner, inner]
 
 
 def _smooth(values: np.ndarray) -> np.ndarray:
