@@ -1,5 +1,5 @@
-// What translucent splats change at the places of the pixel and of its neighbours where they are looked at: what is shown
-// there (ps_layer, one texel a cell, from u.corner on) less what is opaque. Rows of ps_weights as in difference.frag; texels
+// What translucent splats change in a pixel, from what they change at its places and at its neighbours' (ps_change, one texel
+// a cell, from u.corner on). Rows of ps_weights as in difference.frag; texels
 // of ps_members: each place's number and cell.
 
 #include "lib/visibility/lattice.glsl"
@@ -19,7 +19,7 @@ void main()
     for (int i = 0; i < u.sub_samples; i++) {
       ivec2 cell = central + ivec2(texelFetch(ps_members, ivec2(i, 0), 0).yz);
       float weight = texelFetch(ps_weights, ivec2(3 + i, row), 0).x;
-      out_difference += weight * (texelFetch(ps_layer, cell, 0) - texelFetch(ps_opaque, cell, 0));
+      out_difference += weight * texelFetch(ps_change, cell, 0);
     }
   }
 }

@@ -1,6 +1,5 @@
 // What a block of pixels shows that is opaque, at a few places of each, one texel a cell of their lattice: blurred as splats are
-// that are looked at there, once to be blended over and once to tell what that changes; and its depth. Cells beyond the
-// block, and of tiles where nothing is blended, are nowhere. u.corner: the first cell; u.low, u.high: the block's pixels.
+// that are looked at there; and its depth. Cells beyond the block, and of tiles where nothing is blended, are nowhere. u.corner: the first cell; u.low, u.high: the block's pixels.
 // Texels of ps_opaque and ps_place: of pixels (expand.frag). PS_DEVIATION: of the blur, in pixels.
 
 #include "lib/visibility/lattice.glsl"
@@ -11,7 +10,6 @@ void main()
 {
   vec2 at = ps_pixel_from_cell(gl_FragCoord.xy + vec2(u.corner));
   ivec2 pixel = ivec2(floor(at)), last = textureSize(ps_opaque, 0) - 1;
-  out_layer = vec4(0.0);
   out_opaque = vec4(0.0);
   out_place = PS_NOWHERE;
   bool inside = all(greaterThanEqual(pixel, u.low)) && all(lessThan(pixel, u.high));
@@ -27,6 +25,5 @@ void main()
         out_opaque += share.x * share.y * texelFetch(ps_opaque, clamp(pixel + ivec2(x, y), ivec2(0), last), 0);
       }
     }
-    out_layer = out_opaque;
   }
 }

@@ -136,7 +136,7 @@ class TranslucentLayers:
         ):
             self._run("expand", lambda: self._expand(view, 0, members, shaded, Region(around)))
         if self._places is None:
-            margin = filter_reach(self._filter_size)
+            margin = filter_reach(self._filter_size) + 1  # of whose places the next ones are looked at
             self._places = TranslucentPlaces(self._device, self._options, self._targets, margin, self._run)
         fitted = weights_of_blurred(PLACES, view.offset, self._filter_size, DEVIATION)
         self._places.draw(view, self._lit, splats, shaded, fitted, tiles, None if part.all() else part, centres)
@@ -149,7 +149,13 @@ class TranslucentLayers:
         tiles: (rows, columns) bool, that narrow splats touch. margin: pixels around a pixel that its filter takes in.
         """
         options, lattice = self._options, self._targets.buffer.lattice
-        if options.kernels or options.holdout or lattice.count <= PLACES.count or self._filter_size < LEAST_FILTER:
+        if (
+            options.kernels
+            or options.holdout
+            or options.tint
+            or lattice.count <= PLACES.count
+            or self._filter_size < LEAST_FILTER
+        ):
             return None
         layers = self._targets.groups.layers
         exact = (layers > 1) | steep_pixels(*splats, centres)

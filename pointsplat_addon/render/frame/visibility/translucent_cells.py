@@ -26,6 +26,8 @@ from ...passes.translucent.centres import Centres
 from ...passes.translucent.lit_splats import LitSplats
 from ...passes.translucent.options import TranslucentOptions
 from ...passes.translucent.places import (
+    CHANGE_PLACES,
+    CHANGE_PLACES_PROGRAM,
     DEVIATION,
     DIFFERENCE_PLACES,
     DIFFERENCE_PLACES_PROGRAM,
@@ -164,7 +166,7 @@ class TranslucentCells:
         moved = origin[0] - corner[0], origin[1] - corner[1]
         low_pass = self.low_pass * lattice.count
         lit.draw_turned(
-            self._blended, view, self._place, (p, q), moved, splats, variance, low_pass=low_pass, short=low_pass > 0
+            self._blended, view, self._place, (p, q), moved, splats, variance, low_pass=low_pass, short=False
         )
 
     def _subtract(
@@ -217,8 +219,9 @@ class TranslucentPlaces(TranslucentCells):
         return PLACES
 
     def _expanded_target(self) -> Target:
-        self._opaque = self._owned.texture(self._cells, "RGBA32F")
-        return self._owned.target(self._layer, self._opaque, self._place)
+        self._opaque, self._change = (self._owned.texture(self._cells, "RGBA32F") for _ in range(2))
+        self._change_target = self._owned.target(self._change)
+        return self._owned.target(self._opaque, self._place)
 
     def _expand(self, view: SampleView, found: PixelBlock, around: Texture, shaded: dict[str, Texture]) -> None:
         layers, size = self._targets.translucent, self._targets.size_of_tile
@@ -234,6 +237,7 @@ class TranslucentPlaces(TranslucentCells):
             **lattice_values(PLACES, size),
         )
         textures = {"ps_opaque": layers.opaque, "ps_place": layers.place, "ps_wanted": around}
+        self._device.clear(self._blended)
         self._device.draw(EXPAND_PLACES_PROGRAM, self._expanded, uniforms=record, textures=textures, vertices=6)
 
     def _subtract(
@@ -255,8 +259,10 @@ class TranslucentPlaces(TranslucentCells):
             neighbours=rows.size[1],
             **lattice_values(PLACES, size),
         )
-        textures = {"ps_layer": self._layer, "ps_opaque": self._opaque}
-        textures |= {"ps_members": self._members, "ps_weights": rows}
+        shown = {"ps_layer": self._layer, "ps_opaque": self._opaque, "ps_place": self._place}
+        spacing = CHANGE_PLACES.record(spacing=PLACES.spacing)
+        self._device.draw(CHANGE_PLACES_PROGRAM, self._change_target, uniforms=spacing, textures=shown)
+        textures = {"ps_change": self._change, "ps_members": self._members, "ps_weights": rows}
         program = DIFFERENCE_PLACES_PROGRAM
         if mask is not None:
             program, textures = in_part(program), textures | {"ps_part": mask}

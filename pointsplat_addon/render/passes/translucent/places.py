@@ -23,10 +23,10 @@ from .cells import CORNER_FIELD
 from .centres import Centres
 
 PLACES = FEW
-DEVIATION = 0.2  # pixels: of the Gaussian by which splats are widened
+DEVIATION = 0.12  # pixels: of the Gaussian by which splats are widened
 DENSE = 0.2  # optical depth through the middle of a splat from which widening it would change what it hides
 # What splats leave times the square of the change of their depths from pixel to pixel, up to which widening is right.
-STEEP = 0.1
+STEEP = 0.3
 MOST_EXACT = 0.5  # share of the pixels that need each sub-sample, up to which the others are drawn apart
 LEAST_FILTER = 1.4  # size of the pixel filter from which it is wide enough to leave weights for the rest of it
 EXPAND_PLACES = block(
@@ -39,13 +39,19 @@ DIFFERENCE_PLACES = block(
 EXPAND_PLACES_PROGRAM = Interface(
     "expand", vertex="common/rectangle.vert", fragment="translucent/expand_places.frag", block=EXPAND_PLACES,
     samplers=tuple(("FLOAT_2D", name) for name in ("ps_opaque", "ps_place", "ps_wanted")),
-    outputs=(("vec4", "out_layer"), ("vec4", "out_opaque"), ("float", "out_place")),
+    outputs=(("vec4", "out_opaque"), ("float", "out_place")),
     defines=(LATTICE_DEFINE, TILE_DEFINE, ("PS_DEVIATION", repr(DEVIATION))),
+)  # fmt: skip
+CHANGE_PLACES = block("ChangePlaces", (("float", "spacing"),))
+CHANGE_PLACES_PROGRAM = Interface(
+    "difference", fragment="translucent/change_places.frag", block=CHANGE_PLACES,
+    samplers=tuple(("FLOAT_2D", name) for name in ("ps_layer", "ps_opaque", "ps_place")),
+    outputs=(("vec4", "out_change"),), defines=(("PS_DEVIATION", repr(DEVIATION)),),
 )  # fmt: skip
 PART_DEFINE, PART_SAMPLER = ("PS_PART", "1"), ("FLOAT_2D", "ps_part")  # only where that is not 0 is anything added
 DIFFERENCE_PLACES_PROGRAM = Interface(
     "difference", fragment="translucent/difference_places.frag", block=DIFFERENCE_PLACES,
-    samplers=tuple(("FLOAT_2D", name) for name in ("ps_layer", "ps_opaque", "ps_members", "ps_weights")),
+    samplers=tuple(("FLOAT_2D", name) for name in ("ps_change", "ps_members", "ps_weights")),
     outputs=(("vec4", "out_difference"),), defines=(LATTICE_DEFINE,),
 )  # fmt: skip
 
