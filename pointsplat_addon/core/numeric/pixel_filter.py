@@ -17,7 +17,7 @@ EDGE_STEPS = 64  # across a pixel, where edges lie that `edge_share` is fitted t
 FIT_STEPS = 32  # in half of a window, and of the frequencies that weights are fitted to
 FIT_HIGHEST = 15.0  # of these frequencies, radians a pixel: the lattices' own begin there
 OWN = 0.2, 0.3, 0.4  # pixels: deviations of splats that weights are fitted to
-SHORT = 4  # of the kernel of widened splats
+DEGREE = 4  # of the kernel of splats: lib/splat/kernel.glsl
 MOVED = 0.25  # of `edge_share`: what is finer than pixels differs from one to the next, and is seen the more
 
 
@@ -78,7 +78,7 @@ def weights_of_blurred(lattice: Lattice, offset: tuple[float, float], size: floa
     are widened: together they blur as much as the filter does. They add up to 1.
 
     What edges of sums of splats look like is the nearest to what the filter shows, by least squares over all
-    frequencies, of splats of several widths. Widened ones have a kernel of the degree SHORT. deviation: of the Gaussian
+    frequencies, of splats of several widths. deviation: of the Gaussian
     by which they are widened, in pixels.
     """
     size, reach = max(size, lattice.spacing), filter_reach(size)
@@ -107,10 +107,10 @@ def weights_of_blurred(lattice: Lattice, offset: tuple[float, float], size: floa
 
 
 def _transform(k: np.ndarray) -> np.ndarray:
-    """The Fourier transform of the round kernel of the degree SHORT with a variance of 1, at frequencies `k`."""
-    rim = math.sqrt(2 * (SHORT + 2))
+    """The Fourier transform of the round kernel of the degree DEGREE with a variance of 1, at frequencies `k`."""
+    rim = math.sqrt(2 * (DEGREE + 2))
     x = (np.arange(FIT_STEPS) + 0.5) * (rim / FIT_STEPS)
-    across = (1 - np.square(x / rim)) ** (SHORT + 0.5)  # its sums along lines
+    across = (1 - np.square(x / rim)) ** (DEGREE + 0.5)  # its sums along lines
     highest = float(k.max())
     table = np.linspace(0, highest, 4 * FIT_STEPS)
     return np.interp(k, table, np.cos(table[:, None] * x) @ (across / across.sum()))

@@ -47,7 +47,7 @@ Run = Callable[[str, Callable[[], None]], None]  # runs a pass, and times it und
 class TranslucentCells:
     """The sub-samples of one block of pixels, over which splats are blended."""
 
-    low_pass = 0.0  # pixels^2: variance by which splats are widened, and drawn with a shorter kernel
+    low_pass = 0.0  # pixels^2: variance by which splats are widened
 
     @releases_on_failure
     def __init__(
@@ -165,9 +165,7 @@ class TranslucentCells:
         corner = first_cell(lattice, found, size)
         moved = origin[0] - corner[0], origin[1] - corner[1]
         low_pass = self.low_pass * lattice.count
-        lit.draw_turned(
-            self._blended, view, self._place, (p, q), moved, splats, variance, low_pass=low_pass, short=False
-        )
+        lit.draw_turned(self._blended, view, self._place, (p, q), moved, splats, variance, low_pass=low_pass)
 
     def _subtract(
         self,

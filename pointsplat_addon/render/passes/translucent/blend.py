@@ -36,16 +36,11 @@ def _block(options: TranslucentOptions) -> Block:
 
 
 def draw_program(
-    options: TranslucentOptions,
-    channel: str,
-    listed: bool = False,
-    points: bool = False,
-    depths: bool = False,
-    short: bool = False,
+    options: TranslucentOptions, channel: str, listed: bool = False, points: bool = False, depths: bool = False
 ) -> Interface:
     """Returns the program that blends splats over the picture. `channel`: one of CHANNELS, or "" where all are
     alike. `listed`: not all splats are drawn. `points`: each is a point, not two triangles. `depths`: their optical
-    depths are added up instead, channel by channel. `short`: by a kernel with a nearer rim."""
+    depths are added up instead, channel by channel."""
     read = ["centre", "shape", "source", *(["front", "depth"] if options.opaque else [])]
     varyings = [("flat", "vec4", "v_conic"), ("flat", "vec4", "v_source"), ("flat", "vec2", "v_centre")]
     defines = []
@@ -73,8 +68,6 @@ def draw_program(
         defines.append(("PS_LISTED", "1"))
     if points:
         defines.append(("PS_POINTS", "1"))
-    if short:
-        defines.append(("PS_SHORT_KERNEL", "1"))
     outputs = [("vec4", "out_color")]
     if options.holdout:
         outputs.append(("vec4", "out_cut"))

@@ -109,7 +109,6 @@ class LitSplats:
         bounds: Bounds | None = None,
         low_pass: float = 0.0,
         depths: bool = False,
-        short: bool = False,
     ) -> None:
         """Blends some splats over a target whose texels are turned against the picture's pixels.
 
@@ -118,7 +117,6 @@ class LitSplats:
         `variance`: in square pixels, the sum of both axes' of the largest of these splats. `bounds`: in the target,
         what lies outside of them is not wanted. `low_pass`: a variance in square texels by which
         they are widened, their masses kept. `depths`: the optical depths of each channel are added up instead.
-        `short`: by a kernel with a nearer rim.
         """
         size, data = paged(np.column_stack([rows & (PAGE_WIDTH - 1), rows // PAGE_WIDTH]), 2)
         listed = self.device.texture(size, "RG32F", data)
@@ -126,7 +124,7 @@ class LitSplats:
         where = {"turn": turn, "origin": origin, "place": 1.0, "bounds": bounds, "low_pass": low_pass}
         try:
             small = 2 * (SUPPORT * (np.hypot(*turn) ** 2 * variance + 2 * low_pass)) ** 0.5 <= WIDEST_POINT
-            self._draw(target, view, depth, where, len(rows), {"ps_listed": listed}, bool(small), depths, short)
+            self._draw(target, view, depth, where, len(rows), {"ps_listed": listed}, bool(small), depths)
         finally:
             listed.release()
 
@@ -140,14 +138,13 @@ class LitSplats:
         listed: Mapping[str, Texture],
         points: bool,
         depths: bool = False,
-        short: bool = False,
     ) -> None:
         textures = {**self.textures, **self._profiles, **({} if depth is None else {"ps_depth": depth}), **listed}
         options = replace(self._options, opaque=self._options.opaque and depth is not None)
         if not options.opaque:
             textures.pop("ps_front", None)
         for channel in ("",) if depths else self._channels:
-            program = draw_program(options, channel, "ps_listed" in listed, points, depths, short)
+            program = draw_program(options, channel, "ps_listed" in listed, points, depths)
             for first in range(0, count, CHUNK):
                 record = view.record_of(program.block, size=target.colors[0].size, first=first, **where)
                 vertices = (1 if points else 3 if self._options.alone else 6) * min(CHUNK, count - first)

@@ -26,7 +26,7 @@ PLACES = FEW
 DEVIATION = 0.12  # pixels: of the Gaussian by which splats are widened
 DENSE = 0.2  # optical depth through the middle of a splat from which widening it would change what it hides
 # What splats leave times the square of the change of their depths from pixel to pixel, up to which widening is right.
-STEEP = 0.3
+STEEP = 0.2
 MOST_EXACT = 0.5  # share of the pixels that need each sub-sample, up to which the others are drawn apart
 LEAST_FILTER = 1.4  # size of the pixel filter from which it is wide enough to leave weights for the rest of it
 EXPAND_PLACES = block(
