@@ -74,8 +74,8 @@ def edge_share(size: float) -> float:
 
 @cache
 def weights_of_blurred(lattice: Lattice, offset: tuple[float, float], size: float, deviation: float) -> np.ndarray:
-    """Returns weights (N, S) float64 as those of `filter_weights`, of sub-samples that show a picture of small splats which
-    are widened: together they blur as much as the filter does. They add up to 1.
+    """Returns weights (N, S) float64 as those of `filter_weights`, of sub-samples that show small splats, widened:
+    together they blur as much as the filter does. They add up to 1.
 
     What edges of sums of splats look like is the nearest to what the filter shows, by least squares over all
     frequencies, of splats of several widths. deviation: of the Gaussian

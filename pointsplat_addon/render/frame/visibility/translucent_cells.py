@@ -27,13 +27,12 @@ from ...passes.translucent.lit_splats import LitSplats
 from ...passes.translucent.options import TranslucentOptions
 from ...passes.translucent.places import (
     CHANGE_PLACES,
-    CHANGE_PLACES_PROGRAM,
-    DEVIATION,
     DIFFERENCE_PLACES,
     DIFFERENCE_PLACES_PROGRAM,
     EXPAND_PLACES,
-    EXPAND_PLACES_PROGRAM,
-    PLACES,
+    Places,
+    change_places_program,
+    expand_places_program,
     in_part,
 )
 from ...passes.translucent.strata import member_texels, weight_rows, widened
@@ -87,7 +86,7 @@ class TranslucentCells:
     ) -> None:
         """Adds what splats change in tiles (rows, columns) bool to the differences.
 
-        part: (H, W) bool, the pixels of these tiles that are wanted; None: all. `centres`: of the splats, if they are known.
+        part: (H, W) bool, the pixels of these tiles that are wanted; None: all. `centres`: of the splats, if known.
 
         splats: centre and shape, (N, 4) each, as the pass `light` left them. `shaded`: what groups show, by sampler
         name. weights: (N, S), of the pixel filter.
@@ -210,11 +209,24 @@ class TranslucentPlaces(TranslucentCells):
     What is opaque in pixels and its depth are in the textures of the picture's layers: the first layer of each.
     """
 
-    low_pass = DEVIATION**2
+    def __init__(
+        self,
+        device: Device,
+        options: TranslucentOptions,
+        targets: VisibilityTargets,
+        places: Places,
+        margin: int,
+        run: Run,
+    ) -> None:
+        """`margin`: pixels around a pixel that the pixel filter takes in, and one more, whose places those beside them
+        need. `run` times each pass."""
+        self._where = places
+        self.low_pass = places.deviation**2
+        super().__init__(device, options, targets, margin, run)
 
     @property
     def _lattice(self) -> Lattice:
-        return PLACES
+        return self._where.lattice
 
     def _expanded_target(self) -> Target:
         self._opaque, self._change = (self._owned.texture(self._cells, "RGBA32F") for _ in range(2))
@@ -225,18 +237,19 @@ class TranslucentPlaces(TranslucentCells):
         layers, size = self._targets.translucent, self._targets.size_of_tile
         assert layers is not None
         assert layers.opaque is not None
-        used = (side / whole for side, whole in zip(PLACES.size(found.size), self._cells, strict=True))
+        used = (side / whole for side, whole in zip(self._lattice.size(found.size), self._cells, strict=True))
         record = view.record(
             EXPAND_PLACES,
-            corner=first_cell(PLACES, found, size),
+            corner=first_cell(self._lattice, found, size),
             low=found.low,
             high=found.high,
             rectangle=(0.0, 0.0, *used),
-            **lattice_values(PLACES, size),
+            **lattice_values(self._lattice, size),
         )
         textures = {"ps_opaque": layers.opaque, "ps_place": layers.place, "ps_wanted": around}
         self._device.clear(self._blended)
-        self._device.draw(EXPAND_PLACES_PROGRAM, self._expanded, uniforms=record, textures=textures, vertices=6)
+        program = expand_places_program(self._where)
+        self._device.draw(program, self._expanded, uniforms=record, textures=textures, vertices=6)
 
     def _subtract(
         self,
@@ -251,15 +264,16 @@ class TranslucentPlaces(TranslucentCells):
         assert layers is not None
         record = view.record(
             DIFFERENCE_PLACES,
-            corner=first_cell(PLACES, found, size),
+            corner=first_cell(self._lattice, found, size),
             size_of_tile=size,
-            sub_samples=PLACES.count,
+            sub_samples=self._lattice.count,
             neighbours=rows.size[1],
-            **lattice_values(PLACES, size),
+            **lattice_values(self._lattice, size),
         )
         shown = {"ps_layer": self._layer, "ps_opaque": self._opaque, "ps_place": self._place}
-        spacing = CHANGE_PLACES.record(spacing=PLACES.spacing)
-        self._device.draw(CHANGE_PLACES_PROGRAM, self._change_target, uniforms=spacing, textures=shown)
+        spacing = CHANGE_PLACES.record(spacing=self._lattice.spacing)
+        change = change_places_program(self._where)
+        self._device.draw(change, self._change_target, uniforms=spacing, textures=shown)
         textures = {"ps_change": self._change, "ps_members": self._members, "ps_weights": rows}
         program = DIFFERENCE_PLACES_PROGRAM
         if mask is not None:

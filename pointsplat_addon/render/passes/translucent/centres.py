@@ -26,8 +26,8 @@ class Centres:
     pixel: np.ndarray
 
     def sums(self, values: np.ndarray | None) -> np.ndarray:
-        """Returns the sums of values (N,) of the splats in each pixel, or how many these are, of the picture and what lies
-        around it, (H, W)."""
+        """Returns the sums of values (N,) of the splats in each pixel, or how many these are, of the picture and
+        what lies around it, (H, W)."""
         width, height = (side + 2 * self.reach for side in self.size)
         return np.bincount(self.pixel + 1, values, width * height + 1)[1:].reshape(height, width)
 

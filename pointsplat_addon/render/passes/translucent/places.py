@@ -13,7 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ....core.numeric.lattice import FEW
+from ....core.numeric.lattice import FEW, ONE, Lattice
+from ....core.numeric.record import value_record
 from ....core.splat.kernel import SUPPORT
 from ....shading.interface import Interface
 from ..tiles import TILE_DEFINE
@@ -22,11 +23,24 @@ from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS
 from .cells import CORNER_FIELD
 from .centres import Centres
 
-PLACES = FEW
-DEVIATION = 0.12  # pixels: of the Gaussian by which splats are widened
+
+@value_record
+class Places:
+    """Where in pixels splats are looked at, and by how much these are widened."""
+
+    lattice: Lattice
+    deviation: float  # pixels: of the Gaussian by which splats are widened
+    least: float  # pixels: deviation along the narrower axis from which splats are wide enough for these places
+    # What splats leave times the square of the change of depths from pixel to pixel, up to which widening is right.
+    steep: float
+
+    @property
+    def defines(self) -> tuple[tuple[str, str], ...]:
+        return (("PS_DEVIATION", repr(self.deviation)),)
+
+
+CHOICES = Places(ONE, 0.3, 0.375, 0.1), Places(FEW, 0.12, 0.0, 0.2)
 DENSE = 0.2  # optical depth through the middle of a splat from which widening it would change what it hides
-# What splats leave times the square of the change of their depths from pixel to pixel, up to which widening is right.
-STEEP = 0.2
 MOST_EXACT = 0.5  # share of the pixels that need each sub-sample, up to which the others are drawn apart
 LEAST_FILTER = 1.4  # size of the pixel filter from which it is wide enough to leave weights for the rest of it
 EXPAND_PLACES = block(
@@ -36,24 +50,32 @@ DIFFERENCE_PLACES = block(
     "DifferencePlaces", CAMERA_FIELDS, LATTICE_FIELDS, CORNER_FIELD,
     (("ivec2", "size_of_tile"), ("int", "sub_samples"), ("int", "neighbours")),
 )  # fmt: skip
-EXPAND_PLACES_PROGRAM = Interface(
-    "expand", vertex="common/rectangle.vert", fragment="translucent/expand_places.frag", block=EXPAND_PLACES,
-    samplers=tuple(("FLOAT_2D", name) for name in ("ps_opaque", "ps_place", "ps_wanted")),
-    outputs=(("vec4", "out_opaque"), ("float", "out_place")),
-    defines=(LATTICE_DEFINE, TILE_DEFINE, ("PS_DEVIATION", repr(DEVIATION))),
-)  # fmt: skip
-CHANGE_PLACES = block("ChangePlaces", (("float", "spacing"),))
-CHANGE_PLACES_PROGRAM = Interface(
-    "difference", fragment="translucent/change_places.frag", block=CHANGE_PLACES,
-    samplers=tuple(("FLOAT_2D", name) for name in ("ps_layer", "ps_opaque", "ps_place")),
-    outputs=(("vec4", "out_change"),), defines=(("PS_DEVIATION", repr(DEVIATION)),),
-)  # fmt: skip
-PART_DEFINE, PART_SAMPLER = ("PS_PART", "1"), ("FLOAT_2D", "ps_part")  # only where that is not 0 is anything added
 DIFFERENCE_PLACES_PROGRAM = Interface(
     "difference", fragment="translucent/difference_places.frag", block=DIFFERENCE_PLACES,
     samplers=tuple(("FLOAT_2D", name) for name in ("ps_change", "ps_members", "ps_weights")),
     outputs=(("vec4", "out_difference"),), defines=(LATTICE_DEFINE,),
 )  # fmt: skip
+CHANGE_PLACES = block("ChangePlaces", (("float", "spacing"),))
+PART_DEFINE, PART_SAMPLER = ("PS_PART", "1"), ("FLOAT_2D", "ps_part")  # only where that is not 0 is anything added
+
+
+def expand_places_program(places: Places) -> Interface:
+    """Returns the program that writes what is opaque at the places, and its depth."""
+    return Interface(
+        "expand", vertex="common/rectangle.vert", fragment="translucent/expand_places.frag", block=EXPAND_PLACES,
+        samplers=tuple(("FLOAT_2D", name) for name in ("ps_opaque", "ps_place", "ps_wanted")),
+        outputs=(("vec4", "out_opaque"), ("float", "out_place")),
+        defines=(LATTICE_DEFINE, TILE_DEFINE, *places.defines),
+    )  # fmt: skip
+
+
+def change_places_program(places: Places) -> Interface:
+    """Returns the program that writes what splats change at the places."""
+    return Interface(
+        "difference", fragment="translucent/change_places.frag", block=CHANGE_PLACES,
+        samplers=tuple(("FLOAT_2D", name) for name in ("ps_layer", "ps_opaque", "ps_place")),
+        outputs=(("vec4", "out_change"),), defines=places.defines,
+    )  # fmt: skip
 
 
 def in_part(program: Interface) -> Interface:
@@ -61,11 +83,12 @@ def in_part(program: Interface) -> Interface:
     return replace(program, samplers=(*program.samplers, PART_SAMPLER), defines=(*program.defines, PART_DEFINE))
 
 
-def steep_pixels(centre: np.ndarray, shape: np.ndarray, centres: Centres) -> np.ndarray:
+def steep_pixels(centre: np.ndarray, shape: np.ndarray, centres: Centres, steep: float) -> np.ndarray:
     """Returns in which pixels optical depths change too fast for splats to be widened, or splats are too dense for
     that, (H, W) bool.
 
-    centre, shape: (N, 4) as the pass `light` left them. centres: of these.
+    centre, shape: (N, 4) as the pass `light` left them. centres: of these. `steep`: of the
+    places.
     """
     inner = slice(centres.reach, -centres.reach)
     with np.errstate(all="ignore"):
@@ -73,7 +96,7 @@ def steep_pixels(centre: np.ndarray, shape: np.ndarray, centres: Centres) -> np.
         mass = centre[:, 3] * area * np.float32(np.pi * SUPPORT / 5)
     depth = _smooth(centres.sums(mass))
     change = sum(np.square(np.gradient(depth, axis=axis)) for axis in (0, 1) if depth.shape[axis] > 1)
-    found = change * np.exp(-depth) > STEEP
+    found = change * np.exp(-depth) > steep
     if (dense := centre[:, 3] > DENSE).any():
         found |= replace(centres, pixel=np.where(dense, centres.pixel, -1)).touched()
     return found[inner, inner]

@@ -113,9 +113,13 @@ def are_narrow(shape: np.ndarray, kernels: bool) -> np.ndarray:
 
     shape: (N, 4) as the pass `light` left it. `kernels`: some have kernels of their own, with finer parts.
     """
+    return narrower_variances(shape) < (NARROW * (FINEST_KERNEL if kernels else 1.0)) ** 2
+
+
+def narrower_variances(shape: np.ndarray) -> np.ndarray:
+    """Returns the variances of splats along the narrower axis, (N,), in square pixels. shape: as of `are_narrow`."""
     xx, xy, yy = shape[:, 0], shape[:, 1], shape[:, 2]
-    least = 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy)
-    return least < (NARROW * (FINEST_KERNEL if kernels else 1.0)) ** 2
+    return 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy)
 
 
 def touched_tiles(
@@ -199,7 +203,7 @@ def tiles_with(pixels: np.ndarray) -> np.ndarray:
 
 
 def widened(tiles: np.ndarray, by: int = 1) -> np.ndarray:
-    """Returns tiles, or pixels, (rows, columns) bool and those that lie up to so many beside them, around corners too."""
+    """Returns tiles, or pixels, (rows, columns) bool and those that lie up to so many beside them."""
     rows, columns = tiles.shape
     around = np.pad(tiles, by)
     rows_of = np.any([around[y : y + rows] for y in range(2 * by + 1)], axis=0)
