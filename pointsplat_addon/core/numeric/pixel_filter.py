@@ -16,7 +16,7 @@ FILTER_SIZE = 1.5  # Blender's default
 EDGE_STEPS = 64  # across a pixel, where edges lie that `edge_share` is fitted to
 FIT_STEPS = 32  # in half of a window, and of the frequencies that weights are fitted to
 FIT_HIGHEST = 15.0  # of these frequencies, radians a pixel: the lattices' own begin there
-OWN = 0.2, 0.3, 0.4  # pixels: deviations of splats that weights are fitted to
+OWN = 0.45, 0.67, 0.9  # over the lattice's spacing: deviations of splats that weights are fitted to
 DEGREE = 4  # of the kernel of splats: lib/splat/kernel.glsl
 MOVED = 0.25  # of `edge_share`: what is finer than pixels differs from one to the next, and is seen the more
 
@@ -95,7 +95,7 @@ def weights_of_blurred(lattice: Lattice, offset: tuple[float, float], size: floa
     of_edges[k[:, 1] == 0] /= 2
     # Sums over the splats' widths: of the squared transforms, and of their products with what is wanted.
     products, shares = np.zeros(len(k)), np.zeros(len(k))
-    for own in OWN:
+    for own in lattice.spacing * np.array(OWN):
         shown = _transform(np.sqrt(squared * (own**2 + deviation**2)))
         products += of_edges * shown**2
         shares += of_edges * shown * wanted * np.exp(-0.5 * own**2 * squared)
