@@ -15,7 +15,7 @@ from ...passes.tiles import TILE, Region
 from ...passes.translucent.blend import COARSE, ENLARGE
 from ...passes.translucent.centres import Centres, centres_of
 from ...passes.translucent.lit_splats import LitSplats
-from ...passes.translucent.places import CHOICES, LEAST_FILTER, MOST_EXACT, Places, steep_pixels
+from ...passes.translucent.places import LEAST_FILTER, MOST_EXACT, PLACES, steep_pixels
 from ...passes.translucent.strata import (
     ADD_TILE,
     ADD_TILE_BLOCK,
@@ -30,7 +30,6 @@ from ...passes.translucent.strata import (
     difference_program,
     expand_program,
     member_texels,
-    narrower_variances,
     open_tiles,
     tiles_by_layer,
     tiles_with,
@@ -62,7 +61,7 @@ class TranslucentLayers:
         self._difference = difference_program(plan.translucent)
         self._centred = plan.translucent.centred
         self._cells: TranslucentCells | None = None
-        self._places: dict[Places, TranslucentPlaces] = {}
+        self._places: TranslucentPlaces | None = None
         self._filter_size = plan.filter_size
 
     def draw(
@@ -109,13 +108,11 @@ class TranslucentLayers:
         if not tiles.any():
             return
         margin = round(len(weights) ** 0.5) // 2
-        places, exact = None if centres is None else self._places_for(splats), None
-        if places is not None:
+        exact = None if centres is None else self._exact_pixels(splats, centres, tiles, margin)
+        if exact is not None:
             assert centres is not None
-            exact = self._exact_pixels(splats, centres, places, tiles, margin)
-            if exact is not None:
-                self._draw_places(view, splats, centres, places, shaded, tiles_with(~exact) & tiles, ~exact)
-                tiles = tiles_with(exact) & tiles
+            self._draw_places(view, splats, centres, shaded, tiles_with(~exact) & tiles, ~exact)
+            tiles = tiles_with(exact) & tiles
         if not tiles.any():
             return
         if self._cells is None:
@@ -127,7 +124,6 @@ class TranslucentLayers:
         view: SampleView,
         splats: tuple[np.ndarray, np.ndarray],
         centres: Centres,
-        places: Places,
         shaded: dict[str, Texture],
         tiles: np.ndarray,
         part: np.ndarray,
@@ -139,37 +135,25 @@ class TranslucentLayers:
             self._texture(widened(tiles)[..., None], "R32F") as around,
         ):
             self._run("expand", lambda: self._expand(view, 0, members, shaded, Region(around)))
-        if places not in self._places:
+        if self._places is None:
             margin = filter_reach(self._filter_size) + 1
-            made = TranslucentPlaces(self._device, self._options, self._targets, places, margin, self._run)
-            self._places[places] = made
-        fitted = weights_of_blurred(places.lattice, view.offset, self._filter_size, places.deviation)
+            self._places = TranslucentPlaces(self._device, self._options, self._targets, PLACES, margin, self._run)
+        fitted = weights_of_blurred(PLACES.lattice, view.offset, self._filter_size, PLACES.deviation)
         whole = bool(part.all())
-        self._places[places].draw(view, self._lit, splats, shaded, fitted, tiles, None if whole else part, centres)
-
-    def _places_for(self, splats: tuple[np.ndarray, np.ndarray]) -> Places | None:
-        """Returns where splats, centre and shape (N, 4) each, are looked at; None: in each sub-sample."""
-        options, (centre, shape) = self._options, splats
-        if options.kernels or options.holdout or options.tint or self._filter_size < LEAST_FILTER:
-            return None
-        variance = float(narrower_variances(shape).min(initial=np.inf, where=centre[:, 3] > 0))
-        few = next(places for places in CHOICES if max(variance, 0.0) >= places.least**2)
-        return few if few.lattice.count < self._targets.buffer.lattice.count else None
+        self._places.draw(view, self._lit, splats, shaded, fitted, tiles, None if whole else part, centres)
 
     def _exact_pixels(
-        self,
-        splats: tuple[np.ndarray, np.ndarray],
-        centres: Centres,
-        places: Places,
-        tiles: np.ndarray,
-        margin: int,
+        self, splats: tuple[np.ndarray, np.ndarray], centres: Centres, tiles: np.ndarray, margin: int
     ) -> np.ndarray | None:
         """Returns in which pixels each sub-sample has to be looked at, (H, W) bool; None: in most.
 
         tiles: (rows, columns) bool, that narrow splats touch. margin: pixels around a pixel that its filter takes in.
         """
+        options, fewer = self._options, PLACES.lattice.count < self._targets.buffer.lattice.count
+        if options.kernels or options.holdout or options.tint or self._filter_size < LEAST_FILTER or not fewer:
+            return None
         layers = self._targets.groups.layers
-        exact = (layers > 1) | steep_pixels(*splats, centres, places.steep)
+        exact = (layers > 1) | steep_pixels(*splats, centres, PLACES.steep)
         exact = widened(exact, margin)
         inside = tiles.repeat(TILE, axis=0).repeat(TILE, axis=1)[: exact.shape[0], : exact.shape[1]]
         return None if np.count_nonzero(exact & inside) > MOST_EXACT * np.count_nonzero(inside) else exact
@@ -328,5 +312,6 @@ class TranslucentLayers:
         region.draw(self._device, program, layers.difference_target, uniforms=record, textures=textures, blend=True)
 
     def release(self) -> None:
-        for cells in (*([] if self._cells is None else [self._cells]), *self._places.values()):
-            cells.release()
+        for cells in (self._cells, self._places):
+            if cells is not None:
+                cells.release()

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ....core.numeric.lattice import FEW, ONE, Lattice
+from ....core.numeric.lattice import FEW, Lattice
 from ....core.numeric.record import value_record
 from ....core.splat.kernel import SUPPORT
 from ....shading.interface import Interface
@@ -30,7 +30,6 @@ class Places:
 
     lattice: Lattice
     deviation: float  # pixels: of the Gaussian by which splats are widened
-    least: float  # pixels: deviation along the narrower axis from which splats are wide enough for these places
     # What splats leave times the square of the change of depths from pixel to pixel, up to which widening is right.
     steep: float
 
@@ -39,7 +38,7 @@ class Places:
         return (("PS_DEVIATION", repr(self.deviation)),)
 
 
-CHOICES = Places(ONE, 0.3, 0.375, 0.1), Places(FEW, 0.12, 0.0, 0.2)
+PLACES = Places(FEW, 0.12, 0.2)
 DENSE = 0.2  # optical depth through the middle of a splat from which widening it would change what it hides
 MOST_EXACT = 0.5  # share of the pixels that need each sub-sample, up to which the others are drawn apart
 LEAST_FILTER = 1.4  # size of the pixel filter from which it is wide enough to leave weights for the rest of it

@@ -113,13 +113,9 @@ def are_narrow(shape: np.ndarray, kernels: bool) -> np.ndarray:
 
     shape: (N, 4) as the pass `light` left it. `kernels`: some have kernels of their own, with finer parts.
     """
-    return narrower_variances(shape) < (NARROW * (FINEST_KERNEL if kernels else 1.0)) ** 2
-
-
-def narrower_variances(shape: np.ndarray) -> np.ndarray:
-    """Returns the variances of splats along the narrower axis, (N,), in square pixels. shape: as of `are_narrow`."""
     xx, xy, yy = shape[:, 0], shape[:, 1], shape[:, 2]
-    return 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy)
+    least = 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy)
+    return least < (NARROW * (FINEST_KERNEL if kernels else 1.0)) ** 2
 
 
 def touched_tiles(
