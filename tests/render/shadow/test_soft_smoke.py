@@ -34,7 +34,8 @@ def test_sharp_shadows_follow_soft_ones():
     assert known == (False, packed(before, Store(), quick=False)[1])
     assert packed(before, store, quick=True) == known  # nothing is made anew of what is there
     soft, sharp = packed(after, store, quick=True), packed(after, store, quick=False)
-    assert soft[0] and not sharp[0]
+    assert soft[0]
+    assert not sharp[0]
     assert len(soft[1]) < len(sharp[1])
     assert sharp == packed(after, Store(), quick=False)  # to the bit
     assert packed(after, store, quick=True) == sharp
