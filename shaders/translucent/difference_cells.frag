@@ -1,7 +1,8 @@
 // What translucent splats change in the sub-samples of the pixel and of its neighbours, by the weights of the pixel filter:
 // what those show (ps_layer, one texel a cell, from u.corner on) less what is opaque in them. Rows of ps_weights as in
 // difference.frag, of all sub-samples; texels of ps_members: each sub-sample's number and cell. PS_BEHIND: what open
-// sub-samples show. PS_PLACES: groups are not listed in the order of their pixels.
+// sub-samples show. PS_PLACES: groups are not listed in the order of their pixels. PS_PART: only in pixels where ps_part is
+// not 0.
 
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/groups.glsl"

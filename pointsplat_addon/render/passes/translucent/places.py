@@ -2,9 +2,10 @@
 
 The places are those of a lattice of fewer sub-samples. Splats are widened by a Gaussian that is narrower than the pixel
 filter, their masses kept, so that the places miss none of them. What is opaque is blurred as they are, and what both
-show goes through weights that blur by the rest of the filter (`weights_of_blurred`): together that is the pixel filter,
-within 2 % of it. Only where optical depths change by much within a tenth of a pixel is their transmittance another than
-that of what is blurred; such tiles, and those with edges of what is opaque, are looked at in each sub-sample: cells.py.
+change goes through weights that blur by the rest of the filter (`weights_of_blurred`): together that is the pixel
+filter. Where depths change evenly within such a Gaussian, the mean of exp(-depth) is known from their slope
+(shaders/translucent/places/change.frag). Where they change by much and unevenly, where single splats are dense, and at
+edges of what is opaque each sub-sample is looked at: cells.py.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ DIFFERENCE_PLACES = block(
     (("ivec2", "size_of_tile"), ("int", "sub_samples"), ("int", "neighbours")),
 )  # fmt: skip
 DIFFERENCE_PLACES_PROGRAM = Interface(
-    "difference", fragment="translucent/difference_places.frag", block=DIFFERENCE_PLACES,
+    "difference", fragment="translucent/places/difference.frag", block=DIFFERENCE_PLACES,
     samplers=tuple(("FLOAT_2D", name) for name in ("ps_change", "ps_members", "ps_weights")),
     outputs=(("vec4", "out_difference"),), defines=(LATTICE_DEFINE,),
 )  # fmt: skip
@@ -61,7 +62,7 @@ PART_DEFINE, PART_SAMPLER = ("PS_PART", "1"), ("FLOAT_2D", "ps_part")  # only wh
 def expand_places_program(places: Places) -> Interface:
     """Returns the program that writes what is opaque at the places, and its depth."""
     return Interface(
-        "expand", vertex="common/rectangle.vert", fragment="translucent/expand_places.frag", block=EXPAND_PLACES,
+        "expand", vertex="common/rectangle.vert", fragment="translucent/places/expand.frag", block=EXPAND_PLACES,
         samplers=tuple(("FLOAT_2D", name) for name in ("ps_opaque", "ps_place", "ps_wanted")),
         outputs=(("vec4", "out_opaque"), ("float", "out_place")),
         defines=(LATTICE_DEFINE, TILE_DEFINE, *places.defines),
@@ -71,7 +72,7 @@ def expand_places_program(places: Places) -> Interface:
 def change_places_program(places: Places) -> Interface:
     """Returns the program that writes what splats change at the places."""
     return Interface(
-        "difference", fragment="translucent/change_places.frag", block=CHANGE_PLACES,
+        "difference", fragment="translucent/places/change.frag", block=CHANGE_PLACES,
         samplers=tuple(("FLOAT_2D", name) for name in ("ps_layer", "ps_opaque", "ps_place")),
         outputs=(("vec4", "out_change"),), defines=places.defines,
     )  # fmt: skip

@@ -1,6 +1,6 @@
 // What translucent splats change in a pixel, from what they change at its places and at its neighbours' (ps_change, one texel
-// a cell, from u.corner on). Rows of ps_weights as in difference.frag; texels
-// of ps_members: each place's number and cell.
+// a cell, from u.corner on). Rows of ps_weights as in translucent/difference.frag; texels of ps_members: each place's number
+// and cell. PS_PART: only in pixels where ps_part is not 0.
 
 #include "lib/visibility/lattice.glsl"
 
