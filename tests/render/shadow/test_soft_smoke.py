@@ -25,6 +25,8 @@ def lit(direction):
 
 def packed(scene, store, quick):
     shadows, _ = make_shadows(scene, SETTINGS, store, quick=quick)
+    assert shadows is not None
+    assert shadows.tables is not None
     return shadows.coarse, shadows.tables.packed.data.tobytes()
 
 
@@ -46,6 +48,10 @@ def test_shadows_that_cannot_be_sharper_are_made_once():
     scene, store = lit((0.4, 0.7, -0.5)), Store()
     settings = replace(SETTINGS, shadow_resolution=16)
     first, second = (make_shadows(scene, settings, store, quick=quick)[0] for quick in (True, False))
+    assert first is not None
+    assert second is not None
+    assert first.tables is not None
+    assert second.tables is not None
     assert not first.coarse
     assert np.array_equal(first.tables.packed.data, second.tables.packed.data)
 

@@ -98,6 +98,7 @@ def test_centres_miss_no_pixel_that_splats_touch():
     centre, shape = some_splats()
     point = 1.3, -2.6
     found = centres_of(centre, shape, point, SIZE)
+    assert found is not None
     touched = touched_tiles(centre, shape, point, SIZE, 0.0, tile=1)
     inner = slice(found.reach, -found.reach)
     assert found.touched()[inner, inner][touched].all()
@@ -120,6 +121,7 @@ def test_centres_are_of_small_splats_alone():
 def test_dense_splats_and_steep_depths_are_looked_at_in_each_sub_sample():
     centre, shape = some_splats()
     found = centres_of(centre, shape, (0.0, 0.0), SIZE)
+    assert found is not None
     assert not steep_pixels(centre, shape, found, PLACES.steep).any()
     dense = np.flatnonzero((found.pixel >= 0) & (centre[:, 3] > 0))[7]
     more = centre.copy()
@@ -131,8 +133,10 @@ def test_dense_splats_and_steep_depths_are_looked_at_in_each_sub_sample():
     # Twenty layers of a wall that ends at x = 30: a depth of 3.6 beside none.
     y, x = (axis.reshape(-1) + 0.5 for axis in np.mgrid[0:48, 30:64])
     wall = np.column_stack([x, y, np.ones(len(x)), np.full(len(x), 0.15)]).astype(np.float32).repeat(20, axis=0)
-    round_ones = np.tile(np.float32([0.16, 0, 0.16, 1]), (len(wall), 1))
-    there = steep_pixels(wall, round_ones, centres_of(wall, round_ones, (0.0, 0.0), SIZE), PLACES.steep)
+    round_ones = np.tile(np.array([0.16, 0, 0.16, 1], np.float32), (len(wall), 1))
+    found = centres_of(wall, round_ones, (0.0, 0.0), SIZE)
+    assert found is not None
+    there = steep_pixels(wall, round_ones, found, PLACES.steep)
     assert there[2:-2, 29].all()
     assert not there[2:-2, 34:60].any()
 
