@@ -23,7 +23,10 @@ void main()
     float x = ps_depth_beside(cell + ivec2(1, 0), depth) - ps_depth_beside(cell - ivec2(1, 0), depth);
     float y = ps_depth_beside(cell + ivec2(0, 1), depth) - ps_depth_beside(cell - ivec2(0, 1), depth);
     float slope = PS_DEVIATION * length(vec2(x, y)) / (2.0 * u.spacing);
-    float hidden = max(1.0 - left * exp(min(0.5 * slope * slope, 1.0)), 0.0);
+    // exp(x) - 1 with all its digits: what glows may hide next to nothing.
+    float half_square = min(0.5 * slope * slope, 1.0);
+    float more = half_square < 0.1 ? half_square * (1.0 + half_square * (0.5 + half_square / 6.0)) : exp(half_square) - 1.0;
+    float hidden = max(sent.w - left * more, 0.0);
     out_change = sent * (hidden / sent.w) - hidden * texelFetch(ps_opaque, cell, 0);
   }
 }
