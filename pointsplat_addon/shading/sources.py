@@ -69,13 +69,26 @@ def load(file: str) -> Source:
 def _expand(file: str, wanted_by: str, seen: set[str], out: list[str], lines: list[tuple[str, int]]) -> None:
     seen.add(file)
     try:
-        text = (FOLDER / file).read_text(encoding="utf-8")
+        parts = _parts(file)
     except OSError as error:
         raise ShaderError(f"{wanted_by}: cannot read the shader {file}: {error.strerror}") from error
-    for number, line in enumerate(text.splitlines(), start=1):
-        match = INCLUDE.match(line)
-        if not match:
-            out.append(line + "\n")
-            lines.append((file, number))
-        elif match.group(1) not in seen:
-            _expand(match.group(1), f"{file}:{number}", seen, out, lines)
+    for text, numbered, number, included in parts:
+        out.append(text)
+        lines += numbered
+        if included and included not in seen:
+            _expand(included, f"{file}:{number}", seen, out, lines)
+
+
+@cache
+def _parts(file: str) -> list[tuple[str, list[tuple[str, int]], int, str]]:
+    """A file's text up to each include and from the last one on: the text, file and line of each of its lines, the
+    include's line, and what it includes; "" at the end. Many programs include the same files. OSError: no such file."""
+    parts, lines, first = [], (FOLDER / file).read_text(encoding="utf-8").splitlines(), 0
+    for number, line in enumerate([*lines, '#include ""']):
+        match = INCLUDE.match(line) if "#include" in line else None
+        if match or number == len(lines):
+            text = "".join(f"{each}\n" for each in lines[first:number])
+            numbered = [(file, each) for each in range(first + 1, number + 1)]
+            parts.append((text, numbered, number + 1, match.group(1) if match else ""))
+            first = number + 1
+    return parts

@@ -1,7 +1,8 @@
 // What translucent splats change in the sub-samples of the pixel and of its neighbours, by the weights of the pixel filter:
 // what those show (ps_layer, one texel a cell, from u.corner on) less what is opaque in them. Rows of ps_weights as in
 // difference.frag, of all sub-samples; texels of ps_members: each sub-sample's number and cell. PS_BEHIND: what open
-// sub-samples show. PS_PLACES: groups are not listed in the order of their pixels.
+// sub-samples show. PS_PLACES: groups are not listed in the order of their pixels. PS_PART: only in pixels where ps_part is
+// not 0.
 
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/groups.glsl"
@@ -10,6 +11,11 @@ void main()
 {
   ivec2 pixel = ivec2(gl_FragCoord.xy), last = textureSize(ps_first, 0) - 1;
   out_difference = vec4(0.0);
+#ifdef PS_PART
+  if (texelFetch(ps_part, pixel, 0).x == 0.0) {
+    discard;
+  }
+#endif
   for (int row = 0; row < u.neighbours; row++) {
     ivec2 at = pixel + ivec2(texelFetch(ps_weights, ivec2(0, row), 0).x, texelFetch(ps_weights, ivec2(1, row), 0).x);
     at = clamp(at, ivec2(0), last);

@@ -14,6 +14,10 @@ from .lattice import Lattice
 
 FILTER_SIZE = 1.5  # Blender's default
 EDGE_STEPS = 64  # across a pixel, where edges lie that `edge_share` is fitted to
+FIT_STEPS = 32  # in half of a window, and of the frequencies that weights are fitted to
+FIT_HIGHEST = 15.0  # of these frequencies, radians a pixel: the lattices' own begin there
+OWN = 0.45, 0.67, 0.9  # over the lattice's spacing: deviations of splats that weights are fitted to
+DEGREE = 4  # of the kernel of splats: lib/splat/kernel.glsl
 MOVED = 0.25  # of `edge_share`: what is finer than pixels differs from one to the next, and is seen the more
 
 
@@ -66,3 +70,47 @@ def edge_share(size: float) -> float:
     blurred, own = (np.cumsum(w[pixel]) / EDGE_STEPS for w in (weights, alone))
     change = own - blurred
     return float(np.clip((change * (np.cumsum(window) - blurred)).sum() / max((change**2).sum(), 1e-12), 0, 1))
+
+
+@cache
+def weights_of_blurred(lattice: Lattice, offset: tuple[float, float], size: float, deviation: float) -> np.ndarray:
+    """Returns weights (N, S) float64 as those of `filter_weights`, of sub-samples that show small splats, widened:
+    together they blur as much as the filter does. They add up to 1.
+
+    What edges of sums of splats look like is the nearest to what the filter shows, by least squares over all
+    frequencies, of splats of several widths. deviation: of the Gaussian
+    by which they are widened, in pixels.
+    """
+    size, reach = max(size, lattice.spacing), filter_reach(size)
+    y, x = (axis.reshape(-1) - reach for axis in np.indices(2 * (2 * reach + 1,)))
+    at = (lattice.positions[None] + np.stack([x, y], axis=1)[:, None] + np.asarray(offset)).reshape(-1, 2)
+    along = np.arange(-FIT_STEPS, FIT_STEPS + 1) * (FIT_HIGHEST / FIT_STEPS)
+    steps = (np.arange(-FIT_STEPS, FIT_STEPS) + 0.5) * (size / FIT_STEPS)
+    window = blackman_harris(steps, size)
+    window = np.cos(along[:, None] * steps) @ (window / window.sum())
+    k = np.stack(np.meshgrid(along, along[FIT_STEPS:]), axis=-1).reshape(-1, 2)  # half of a plane: all else is alike
+    squared = np.square(k).sum(axis=1)
+    wanted = (window * window[FIT_STEPS:, None]).reshape(-1)
+    of_edges = np.maximum(squared, 0.05) ** -1.5
+    of_edges[k[:, 1] == 0] /= 2
+    # Sums over the splats' widths: of the squared transforms, and of their products with what is wanted.
+    products, shares = np.zeros(len(k)), np.zeros(len(k))
+    for own in lattice.spacing * np.array(OWN):
+        shown = _transform(np.sqrt(squared * (own**2 + deviation**2)))
+        products += of_edges * shown**2
+        shares += of_edges * shown * wanted * np.exp(-0.5 * own**2 * squared)
+    angle = k @ at.T
+    cosine, sine = np.cos(angle), np.sin(angle)
+    weighed = products[:, None]
+    found = np.linalg.solve(cosine.T @ (weighed * cosine) + sine.T @ (weighed * sine), cosine.T @ shares)
+    return (found / found.sum()).reshape(len(x), -1)
+
+
+def _transform(k: np.ndarray) -> np.ndarray:
+    """The Fourier transform of the round kernel of the degree DEGREE with a variance of 1, at frequencies `k`."""
+    rim = math.sqrt(2 * (DEGREE + 2))
+    x = (np.arange(FIT_STEPS) + 0.5) * (rim / FIT_STEPS)
+    across = (1 - np.square(x / rim)) ** (DEGREE + 0.5)  # its sums along lines
+    highest = float(k.max())
+    table = np.linspace(0, highest, 4 * FIT_STEPS)
+    return np.interp(k, table, np.cos(table[:, None] * x) @ (across / across.sum()))

@@ -8,11 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from ....core.numeric.pixel_filter import filter_reach, weights_of_blurred
 from ...device.owned import texture_of
 from ...device.protocol import Device, Target, Texture
 from ...passes.tiles import TILE, Region
 from ...passes.translucent.blend import COARSE, ENLARGE
+from ...passes.translucent.centres import Centres, centres_of
 from ...passes.translucent.lit_splats import LitSplats
+from ...passes.translucent.places import LEAST_FILTER, MOST_EXACT, PLACES, steep_pixels
 from ...passes.translucent.strata import (
     ADD_TILE,
     ADD_TILE_BLOCK,
@@ -29,6 +32,7 @@ from ...passes.translucent.strata import (
     member_texels,
     open_tiles,
     tiles_by_layer,
+    tiles_with,
     touched_tiles,
     weight_rows,
     widened,
@@ -37,7 +41,7 @@ from ...passes.uniforms import SampleView
 from ...plan.plan import Plan
 from .targets import VisibilityTargets
 from .tiles import PictureTile
-from .translucent_cells import TranslucentCells
+from .translucent_cells import TranslucentCells, TranslucentPlaces
 
 Run = Callable[[str, Callable[[], None]], None]  # runs a pass, and times it under a name
 
@@ -57,6 +61,8 @@ class TranslucentLayers:
         self._difference = difference_program(plan.translucent)
         self._centred = plan.translucent.centred
         self._cells: TranslucentCells | None = None
+        self._places: TranslucentPlaces | None = None
+        self._filter_size = plan.filter_size
 
     def draw(
         self, view: SampleView, tile: PictureTile, shaded: dict[str, Texture], weights: np.ndarray, coarse: bool
@@ -77,13 +83,14 @@ class TranslucentLayers:
             return
         around = len(weights) ** 0.5 // 2 + 2 * COARSE
         splats = self._read_splats()
-        touched, narrow = self._touched_tiles(view, *splats, around)
+        centres = centres_of(*splats, view.principal_point, view.size)
+        touched, narrow = self._touched_tiles(view, *splats, around, centres)
         every = np.arange(lattice.count)
         if coarse:
             weights = weights / weights[:, 0].sum()
             self._draw_layers(view, every[:1], weights, shaded, touched, COARSE)
         else:
-            self._draw_narrow(view, splats, shaded, weights, narrow)
+            self._draw_narrow(view, splats, centres, shaded, weights, narrow)
             if (wide := touched & ~narrow).any() or not narrow.any():
                 self._draw_layers(view, every, weights, shaded, wide)
         self._add(tile)
@@ -92,6 +99,7 @@ class TranslucentLayers:
         self,
         view: SampleView,
         splats: tuple[np.ndarray, np.ndarray],
+        centres: Centres | None,
         shaded: dict[str, Texture],
         weights: np.ndarray,
         tiles: np.ndarray,
@@ -99,10 +107,56 @@ class TranslucentLayers:
         """Adds the differences in tiles (rows, columns) bool, which narrow splats touch, sub-sample by sub-sample."""
         if not tiles.any():
             return
+        margin = round(len(weights) ** 0.5) // 2
+        exact = None if centres is None else self._exact_pixels(splats, centres, tiles, margin)
+        if exact is not None:
+            assert centres is not None
+            self._draw_places(view, splats, centres, shaded, tiles_with(~exact) & tiles, ~exact)
+            tiles = tiles_with(exact) & tiles
+        if not tiles.any():
+            return
         if self._cells is None:
-            margin = round(len(weights) ** 0.5) // 2
             self._cells = TranslucentCells(self._device, self._options, self._targets, margin, self._run)
-        self._cells.draw(view, self._lit, splats, shaded, weights, tiles)
+        self._cells.draw(view, self._lit, splats, shaded, weights, tiles, exact, centres)
+
+    def _draw_places(
+        self,
+        view: SampleView,
+        splats: tuple[np.ndarray, np.ndarray],
+        centres: Centres,
+        shaded: dict[str, Texture],
+        tiles: np.ndarray,
+        part: np.ndarray,
+    ) -> None:
+        """Adds the differences in pixels (H, W) bool of tiles (rows, columns) bool, at a few places of each."""
+        lattice = self._targets.buffer.lattice
+        with (
+            self._texture(member_texels(lattice, np.arange(lattice.count)), "RGBA32F") as members,
+            self._texture(widened(tiles)[..., None], "R32F") as around,
+        ):
+            self._run("expand", lambda: self._expand(view, 0, members, shaded, Region(around)))
+        if self._places is None:
+            margin = filter_reach(self._filter_size) + 1
+            self._places = TranslucentPlaces(self._device, self._options, self._targets, PLACES, margin, self._run)
+        fitted = weights_of_blurred(PLACES.lattice, view.offset, self._filter_size, PLACES.deviation)
+        whole = bool(part.all())
+        self._places.draw(view, self._lit, splats, shaded, fitted, tiles, None if whole else part, centres)
+
+    def _exact_pixels(
+        self, splats: tuple[np.ndarray, np.ndarray], centres: Centres, tiles: np.ndarray, margin: int
+    ) -> np.ndarray | None:
+        """Returns in which pixels each sub-sample has to be looked at, (H, W) bool; None: in most.
+
+        tiles: (rows, columns) bool, that narrow splats touch. margin: pixels around a pixel that its filter takes in.
+        """
+        options, fewer = self._options, PLACES.lattice.count < self._targets.buffer.lattice.count
+        if options.kernels or options.holdout or options.tint or self._filter_size < LEAST_FILTER or not fewer:
+            return None
+        layers = self._targets.groups.layers
+        exact = (layers > 1) | steep_pixels(*splats, centres, PLACES.steep)
+        exact = widened(exact, margin)
+        inside = tiles.repeat(TILE, axis=0).repeat(TILE, axis=1)[: exact.shape[0], : exact.shape[1]]
+        return None if np.count_nonzero(exact & inside) > MOST_EXACT * np.count_nonzero(inside) else exact
 
     def _add(self, tile: PictureTile) -> None:
         """Adds the differences of a tile to the sums."""
@@ -122,13 +176,16 @@ class TranslucentLayers:
         return centre, shape
 
     def _touched_tiles(
-        self, view: SampleView, centre: np.ndarray, shape: np.ndarray, around: float
+        self, view: SampleView, centre: np.ndarray, shape: np.ndarray, around: float, centres: Centres | None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Returns which tiles splats touch, and which of them narrow ones touch, (rows, columns) bool each.
 
         centre, shape: (N, 4) each. around: pixels around a splat that count as touched.
         """
         narrow = are_narrow(shape, self._options.kernels)
+        if centres is not None and narrow.all():
+            touched = centres.tiles(around)
+            return touched, touched
         where = view.principal_point, view.size, around
         touched = touched_tiles(centre, shape, *where)
         if narrow.all():
@@ -255,5 +312,6 @@ class TranslucentLayers:
         region.draw(self._device, program, layers.difference_target, uniforms=record, textures=textures, blend=True)
 
     def release(self) -> None:
-        if self._cells is not None:
-            self._cells.release()
+        for cells in (self._cells, self._places):
+            if cells is not None:
+                cells.release()

@@ -3,7 +3,8 @@
 Splats that are at least a pixel wide are looked at in the middle of the pixel, once for each layer: a group, or what is
 open. With L what they send to the eye and T what they let through, the layer gains L - (1 - T) opaque, and these
 differences go through the pixel filter by the weights of the layer's sub-samples. Edges of what is opaque are as exact
-as without them. Narrower splats are looked at in each sub-sample: cells.py.
+as without them. Narrower splats are looked at in a few places of a pixel (places.py), or in each sub-sample
+(cells.py).
 
 Captured splats (passes/captured) have the pixel filter in them, and are to be seen as their training saw them: where a
 view has some, all splats are looked at in pixels' centres alone, and L and T of a pixel's layers hold for all
@@ -119,18 +120,23 @@ def are_narrow(shape: np.ndarray, kernels: bool) -> np.ndarray:
 
 
 def touched_tiles(
-    centre: np.ndarray, shape: np.ndarray, principal_point: tuple[float, float], size: tuple[int, int], around: float
+    centre: np.ndarray,
+    shape: np.ndarray,
+    principal_point: tuple[float, float],
+    size: tuple[int, int],
+    around: float,
+    tile: int = TILE,
 ) -> np.ndarray:
     """Returns which tiles of a picture splats touch, (rows, columns) bool.
 
     centre, shape: (N, 4) as the pass `light` left them. size: (width, height) of the picture in pixels. around: pixels
-    around a splat that count as touched.
+    around a splat that count as touched. tile: pixels on a side.
     """
-    last = np.array([-(-side // TILE) for side in size])
+    last = np.array([-(-side // tile) for side in size])
     with np.errstate(all="ignore"):
         half = np.sqrt(SUPPORT * np.maximum(shape[:, [0, 2]], 0)) + around
         middle = centre[:, :2] + np.asarray(principal_point, np.float32)
-        low, high = np.floor((middle - half) / TILE), np.floor((middle + half) / TILE) + 1
+        low, high = np.floor((middle - half) / tile), np.floor((middle + half) / tile) + 1
         there = (centre[:, 3] > 0) & (high > 0).all(axis=1) & (low < last).all(axis=1)
     low, high = (np.clip(corner[there], 0, last).astype(np.int64) for corner in (low, high))
     # How many boxes begin less how many end at each corner of tiles; summed over both axes, how many hold a tile.
@@ -142,11 +148,15 @@ def touched_tiles(
 
 
 def splats_over(
-    tiles: np.ndarray, centre: np.ndarray, shape: np.ndarray, principal_point: tuple[float, float]
+    tiles: np.ndarray,
+    centre: np.ndarray,
+    shape: np.ndarray,
+    principal_point: tuple[float, float],
+    tile: int = TILE,
 ) -> np.ndarray:
     """Returns which splats touch some of tiles (rows, columns) bool, (K,) int64, in their order.
 
-    centre, shape: (N, 4) as the pass `light` left them, of a view with this principal point.
+    centre, shape: (N, 4) as the pass `light` left them, of a view with this principal point. tile: pixels on a side.
     """
     rows, columns = tiles.shape
     counts = np.zeros((rows + 1, columns + 1), np.int64)
@@ -154,8 +164,8 @@ def splats_over(
     with np.errstate(all="ignore"):
         half = np.sqrt(SUPPORT * np.maximum(shape[:, [0, 2]], 0))
         middle = centre[:, :2] + np.asarray(principal_point, np.float32)
-        low = np.clip(np.floor((middle - half) / TILE), 0, (columns, rows))
-        high = np.clip(np.floor((middle + half) / TILE) + 1, 0, (columns, rows))
+        low = np.clip(np.floor((middle - half) / tile), 0, (columns, rows))
+        high = np.clip(np.floor((middle + half) / tile) + 1, 0, (columns, rows))
         there = np.flatnonzero((centre[:, 3] > 0) & (high > low).all(axis=1))
     (x, y), (end_x, end_y) = (corner[there].astype(np.int64).T for corner in (low, high))
     inside = counts[end_y, end_x] - counts[y, end_x] - counts[end_y, x] + counts[y, x]
@@ -182,11 +192,19 @@ def tiles_by_layer(layers: np.ndarray, tiles: np.ndarray) -> list[np.ndarray]:
     return [most > layer for layer in range(max(int(most.max()), 1))]
 
 
-def widened(tiles: np.ndarray) -> np.ndarray:
-    """Returns tiles (rows, columns) bool and their eight neighbours."""
+def tiles_with(pixels: np.ndarray) -> np.ndarray:
+    """Returns which tiles hold some of pixels (H, W) bool, (rows, columns) bool."""
+    rows, columns = (-(-side // TILE) for side in pixels.shape)
+    padded = np.pad(pixels, [(0, rows * TILE - pixels.shape[0]), (0, columns * TILE - pixels.shape[1])])
+    return padded.reshape(rows, TILE, columns, TILE).any(axis=(1, 3))
+
+
+def widened(tiles: np.ndarray, by: int = 1) -> np.ndarray:
+    """Returns tiles, or pixels, (rows, columns) bool and those that lie up to so many beside them."""
     rows, columns = tiles.shape
-    around = np.pad(tiles, 1)
-    return np.any([around[y : y + rows, x : x + columns] for y in range(3) for x in range(3)], axis=0)
+    around = np.pad(tiles, by)
+    rows_of = np.any([around[y : y + rows] for y in range(2 * by + 1)], axis=0)
+    return np.any([rows_of[:, x : x + columns] for x in range(2 * by + 1)], axis=0)
 
 
 def bounds(tiles: np.ndarray) -> Bounds:

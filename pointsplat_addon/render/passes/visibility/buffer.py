@@ -54,6 +54,14 @@ def rank_defines(lattice: Lattice, multiple: int = 1) -> tuple[tuple[str, str], 
     return ("PS_RANKS", str(lattice.count)), ("PS_RANK_COLUMN", str(column)), ("PS_RANK_ROW", str(row))
 
 
+def lattice_values(lattice: Lattice, size: tuple[int, int]) -> Values:
+    """Values of LATTICE_FIELDS of a lattice over a picture of a size (width, height) in pixels."""
+    x, y = lattice.corner(size)
+    # The centre of pixel (0, 0) is that of the cell (x, y).
+    origin = x + 0.5 - 0.5 * (lattice.p - lattice.q), y + 0.5 - 0.5 * (lattice.p + lattice.q)
+    return {"lattice": (lattice.p, lattice.q, *origin), "cells": lattice.size(size)}
+
+
 class DepthBuffer:
     """The depth of what is nearest at each cell: of the three textures the one."""
 
@@ -76,10 +84,7 @@ class DepthBuffer:
     @property
     def values(self) -> Values:
         """Values of LATTICE_FIELDS."""
-        lattice, (x, y) = self.lattice, self.lattice.corner(self.size)
-        # The centre of pixel (0, 0) is that of the cell (x, y).
-        origin = x + 0.5 - 0.5 * (lattice.p - lattice.q), y + 0.5 - 0.5 * (lattice.p + lattice.q)
-        return {"lattice": (lattice.p, lattice.q, *origin), "cells": self.cells}
+        return lattice_values(self.lattice, self.size)
 
     @property
     def textures(self) -> dict[str, Texture]:
