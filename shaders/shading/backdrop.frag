@@ -12,8 +12,7 @@
 // Level 1 and above of the pyramid: core/light/environment.py, `stacked`.
 vec3 ps_pyramid(vec2 uv, int level)
 {
-  ivec2 size = ivec2(textureSize(ps_environment, 0).x);
-  size.y /= 2;
+  ivec2 size = textureSize(ps_levels, 0).x * ivec2(2, 1);
   ivec2 origin = ivec2(0, size.y - 2 * (size.y >> level));
   return ps_equirectangular(ps_levels, origin, size >> level, uv);
 }
@@ -22,7 +21,7 @@ void main()
 {
   vec2 span = u.texel_size, texel = gl_FragCoord.xy - float(u.margin) - 1.0;
   vec2 apart = PS_WIDE * 2.0 * PS_TAP * span / abs(u.focal);
-  int width = textureSize(ps_environment, 0).x;
+  int width = 2 * textureSize(ps_levels, 0).x;
   float coarsest = log2(float(width) / 32.0);
   vec3 sum = vec3(0.0);
   for (int i = 0; i < 4; i++) {

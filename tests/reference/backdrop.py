@@ -41,7 +41,7 @@ def sharp_backdrop(atlas: np.ndarray, grid: BackdropGrid, camera: Camera, image_
             ray = np.stack(np.broadcast_arrays(((x - cx) / fx)[None], ((y - cy) / fy)[:, None], -1.0), axis=-1)
             cosine = 1 / np.linalg.norm(ray, axis=-1, keepdims=True)
             direction = (ray * cosine) @ image_from_view.T
-            lod = pyramid_level(cosine[..., 0], direction, grid, (fx, fy), len(pyramid[0]), len(pyramid))
+            lod = pyramid_level(cosine[..., 0], direction, grid, (fx, fy), 2 * len(pyramid[1]), len(pyramid))
             uv = environment.uv_from_direction(direction)
             for i, picture in enumerate(pyramid):
                 part = np.maximum(1 - np.abs(lod - i), 0)[..., None]

@@ -1,8 +1,9 @@
 """Light from an equirectangular image, prefiltered into an atlas that shaders/lib/light/environment.glsl reads.
 
-The atlas is (W/2 + 2 TILE[1], W, 4) float32 (rows from the bottom, the fourth channel is 1), W one of WIDTHS:
+The atlas is (H + 2 TILE[1], max(W, 4 TILE[0]), 4) float32, rows from the bottom; the fourth channel is 1, and W in the
+first texel:
 
-    rows 0 .. W/2           the image itself: mirror reflection, and the background
+    rows 0 .. H             the image itself, (H, W): mirror reflection, and the background
     tiles of TILE above it  four to a row: radiance prefiltered for each of ROUGHNESS, last the Lambert irradiance / pi
 
 Prefiltering assumes n = v = r (Karis 2013, "Real shading in Unreal Engine 4", split sum) and uses filtered
@@ -15,7 +16,10 @@ import numpy as np
 
 from ..numeric.vectors import row_frames
 
-WIDTHS = (512, 1024, 2048)
+WIDTHS = (512, 1024, 2048)  # of the image that is filtered
+WIDEST = 4096  # texels along a side of the image itself, where a camera tells them apart
+# Pixels: no narrower are texels. What is interpolated between such is as blurred as by the pixel filter.
+NARROWEST = 0.6
 TILE = (128, 64)
 ROUGHNESS = (0.2, 0.4, 0.6, 0.8, 1.0)
 SAMPLES = 64
@@ -60,48 +64,66 @@ def bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
     return low * (1 - fy) + high * fy
 
 
-def build_atlas(image: np.ndarray, mirrored: np.ndarray | None = None) -> np.ndarray:
+def widest_image(radians: float) -> int:
+    """How many texels an atlas' image may have along a side, so that those of a camera, some `radians` wide, miss none
+    of them."""
+    return WIDEST if 2 * np.pi >= NARROWEST * WIDEST * radians else WIDTHS[-1]
+
+
+def build_atlas(image: np.ndarray, mirrored: np.ndarray | None = None, widest: int = WIDTHS[-1]) -> np.ndarray:
     """Builds the atlas of an equirectangular radiance image (H, W, 3 or more).
 
-    mirrored: another one, of which all is but the irradiance.
+    mirrored: another one, of which all is but the irradiance. widest: texels along a side of the image itself; larger
+    ones are averaged.
 
     NaN and negative infinity count as 0; other values are clamped to +-1e18, about the root of float32's limit, so that
     sums stay finite.
     """
-    mips = _levels_of(image if mirrored is None else mirrored)
-    sharp, width = mips[0], mips[0].shape[1]
+    sharp = _finite(image if mirrored is None else mirrored)
+    mips = _levels_of(sharp)
+    (height, width), most = sharp.shape[:2], max(sharp.shape[:2])
+    if most > widest:
+        sharp = _resample(sharp, *(max(1, round(side * widest / most)) for side in (width, height)))
+        height, width = sharp.shape[:2]
 
     tiles = [_resample(_prefilter(mips, roughness), *TILE) for roughness in ROUGHNESS]
-    tiles.append(_resample(_irradiance(mips if mirrored is None else _levels_of(image)), *TILE))
+    tiles.append(_resample(_irradiance(mips if mirrored is None else _levels_of(_finite(image))), *TILE))
 
-    atlas = np.ones((width // 2 + 2 * TILE[1], width, 4), np.float32)
-    atlas[: width // 2, :, :3] = sharp
+    atlas = np.ones((height + 2 * TILE[1], max(width, 4 * TILE[0]), 4), np.float32)
+    atlas[:height, :width, :3] = sharp
+    atlas[0, 0, 3] = width
     for i, tile in enumerate(tiles):
-        x, y = i % 4 * TILE[0], width // 2 + i // 4 * TILE[1]
+        x, y = i % 4 * TILE[0], height + i // 4 * TILE[1]
         atlas[y : y + TILE[1], x : x + TILE[0], :3] = tile
     return atlas
 
 
-def _levels_of(image: np.ndarray) -> list[np.ndarray]:
-    """The mip levels of an image (H, W, 3 or more) as wide as an atlas' image, finite."""
+def _finite(image: np.ndarray) -> np.ndarray:
+    """An image (H, W, 3) float32 without what is not finite."""
     image = np.nan_to_num(np.asarray(image[..., :3], np.float32), nan=0.0, posinf=1e18, neginf=0.0)
-    image = np.clip(image, -1e18, 1e18, out=image)
+    return np.clip(image, -1e18, 1e18, out=image)
+
+
+def _levels_of(image: np.ndarray) -> list[np.ndarray]:
+    """The mip levels of a finite image (H, W, 3), from one of WIDTHS on."""
     width = next((w for w in WIDTHS if w >= image.shape[1]), WIDTHS[-1])
     return _mips(_resample(image, width, width // 2))
 
 
 def atlas_level(atlas: np.ndarray, index: int) -> np.ndarray:
     """View (h, w, 3) of a level: 0 the image, 1 .. len(ROUGHNESS) prefiltered, the next one the irradiance / pi."""
-    half = atlas.shape[1] // 2
+    height = len(atlas) - 2 * TILE[1]
     if index == 0:
-        return atlas[:half, :, :3]
-    x, y = (index - 1) % 4 * TILE[0], half + (index - 1) // 4 * TILE[1]
+        return atlas[:height, : int(atlas[0, 0, 3]), :3]
+    x, y = (index - 1) % 4 * TILE[0], height + (index - 1) // 4 * TILE[1]
     return atlas[y : y + TILE[1], x : x + TILE[0], :3]
 
 
 def pyramid(atlas: np.ndarray) -> list[np.ndarray]:
-    """The mip levels of an atlas' image, (h, w, 3) each, down to a width of 32; each keeps the sphere's total light."""
-    return _mips(atlas_level(atlas, 0))
+    """An atlas' image, and levels each half as wide as that before, from half of one of WIDTHS down to 32, (h, w, 3)
+    each; all of these keep the sphere's total light."""
+    image = atlas_level(atlas, 0)
+    return [image, *_levels_of(image)[1:]]
 
 
 def stack_levels(levels: list[np.ndarray]) -> np.ndarray:

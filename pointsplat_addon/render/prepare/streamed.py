@@ -136,12 +136,12 @@ def with_pages(
     fits = {wish.key for wish in wishes[:fitting]}
     geometries, instances = list(scene.geometries), scene.instances
     drawn = points = 0
-    shown = [
+    cuts = [
         _shown(scan, [wish.page for wish in some if wish.key in fits], pool)
         for scan, some in zip(scans, of_each, strict=True)
     ]
-    store.forget_streamed(view, {name for one in shown for name in (one.name, one.of_nodes)})
-    for scan, one in zip(scans, shown, strict=True):
+    store.forget_streamed(view, {name for one in cuts for name in (one.name, one.of_nodes)})
+    for scan, one in zip(scans, cuts, strict=True):
         first, *more = _joined(scan, one, store)
         geometries[scan.row] = first
         drawn += 0 if one.cut is None else len(one.cut)

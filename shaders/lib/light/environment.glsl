@@ -38,14 +38,12 @@ vec3 ps_equirectangular(sampler2D picture, ivec2 origin, ivec2 size, vec2 uv)
 // Level 0 is the image, 1 .. PS_ROUGH_LEVELS are prefiltered, the next one is the irradiance / pi.
 vec3 ps_environment_level(vec2 uv, int level)
 {
-  ivec2 size = ivec2(textureSize(ps_environment, 0).x);
-  size.y /= 2;
-  ivec2 origin = ivec2(0);
-  if (level > 0) {
-    origin = ivec2((level - 1) % 4 * PS_TILE_WIDTH, size.y + (level - 1) / 4 * PS_TILE_HEIGHT);
-    size = ivec2(PS_TILE_WIDTH, PS_TILE_HEIGHT);
+  int height = textureSize(ps_environment, 0).y - 2 * PS_TILE_HEIGHT;
+  if (level == 0) {
+    return ps_equirectangular(ps_environment, ivec2(0), ivec2(int(texelFetch(ps_environment, ivec2(0), 0).a), height), uv);
   }
-  return ps_equirectangular(ps_environment, origin, size, uv);
+  ivec2 origin = ivec2((level - 1) % 4 * PS_TILE_WIDTH, height + (level - 1) / 4 * PS_TILE_HEIGHT);
+  return ps_equirectangular(ps_environment, origin, ivec2(PS_TILE_WIDTH, PS_TILE_HEIGHT), uv);
 }
 
 // Blender's equirectangular layout.

@@ -78,6 +78,28 @@ def test_bad_texels_do_not_spread():
     assert np.isfinite(environment.build_atlas(image)).all()
 
 
+@pytest.mark.parametrize("size", [(37, 91), (128, 256), (900, 1800), (1500, 3000)])
+def test_pictures_keep_their_texels(size):
+    image = np.random.default_rng(3).uniform(0, 2, (*size, 3)).astype(np.float32)
+    atlas = environment.build_atlas(image, widest=environment.WIDEST)
+    np.testing.assert_array_equal(environment.atlas_level(atlas, 0), image)
+    direction = environment.texel_directions(size[1], size[0]).reshape(-1, 3)[:: size[1] // 7]
+    seen = environment_lookup.radiance(atlas, direction, np.zeros(len(direction)))
+    assert np.abs(seen - image.reshape(-1, 3)[:: size[1] // 7]).max() < 1e-10  # measured 1.2e-12
+
+
+def test_cameras_that_tell_more_texels_apart_get_them():
+    assert environment.widest_image(2 * np.pi / 2400) == environment.WIDTHS[-1]
+    assert environment.widest_image(2 * np.pi / 2500) == environment.WIDEST
+    image = np.zeros((2048, 4096, 3), np.float32)
+    image[:, ::2] = 1.0
+    for widest in (2048, 4096):
+        level = environment.atlas_level(environment.build_atlas(image, widest=widest), 0)
+        assert level.shape == (widest // 2, widest, 3)
+        assert level.mean() == 0.5
+        assert level.std() == (0.5 if widest == 4096 else 0.0)
+
+
 def test_large_pictures_are_averaged_down_to_the_largest_width():
     atlas = environment.build_atlas(np.ones((1300, 2600, 3), np.float32))
     assert atlas.shape == (1024 + 2 * environment.TILE[1], 2048, 4)

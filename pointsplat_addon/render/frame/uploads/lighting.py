@@ -8,7 +8,7 @@ from dataclasses import field
 import numpy as np
 
 from ....core.light import hair
-from ....core.light.environment import build_atlas, pyramid, stack_levels
+from ....core.light.environment import build_atlas, pyramid, stack_levels, widest_image
 from ....core.light.light_table import light_texture
 from ....core.numeric.record import value_record
 from ....core.scene.camera import Camera
@@ -51,9 +51,10 @@ class LightingUploads:
         scene: Scene,
         plan: Plan,
         shadows: Shadows | None,
+        camera: Camera,
         materials: bool = True,
     ) -> None:
-        """`materials`: what is lit has some."""
+        """`camera`: that sees the world. `materials`: what is lit has some."""
         self._scope, self._store, self._scene, self._plan = scope, store, scene, plan
         self._tables = None if shadows is None else shadows.tables
         self._maps = None if shadows is None else shadows.maps
@@ -72,6 +73,8 @@ class LightingUploads:
         self._lights: Texture | None = None
         self._environment: Texture | None = None
         self.levels: Texture | None = None  # of the environment, each half as wide: passes/shading/backdrop.py
+        pixel = 1 / max(abs(focal) for focal in camera.pixel_from_view()[:2]) if camera.perspective else np.inf
+        self._widest = widest_image(pixel)  # texels along a side of pictures of the world
         world = scene.world
         reading = (*plan.lighting, *(plan.world if world.seen is None else ()))
         if "PS_HAS_ENVIRONMENT" in reading and world.image is not None:
@@ -231,12 +234,12 @@ class LightingUploads:
 
     def _upload_environment(self, image: np.ndarray, mirrored: np.ndarray | None = None) -> Texture:
         def make() -> Texture:
-            atlas = build_atlas(image, mirrored)
-            rgba = np.concatenate([atlas[..., :3], np.ones((*atlas.shape[:2], 1), np.float32)], axis=2)
-            return self._scope.device.texture((atlas.shape[1], atlas.shape[0]), "RGBA32F", rgba.reshape(-1))
+            atlas = build_atlas(image, mirrored, widest)
+            return self._scope.device.texture((atlas.shape[1], atlas.shape[0]), "RGBA32F", atlas.reshape(-1))
 
         of = (image,) if mirrored is None else (image, mirrored)
-        return self._scope.lookup(Key(Kind.ENVIRONMENT, tuple(map(ArrayIdentity, of))), make)
+        widest = min(self._widest, max(of[-1].shape[:2]))  # smaller ones are the same for all cameras
+        return self._scope.lookup(Key(Kind.ENVIRONMENT, tuple(map(ArrayIdentity, of)), other=widest), make)
 
     def _upload_levels(self, image: np.ndarray) -> Texture:
         def make() -> Texture:

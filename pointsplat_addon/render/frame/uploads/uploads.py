@@ -58,7 +58,7 @@ class Uploads:
         if pages := {geometry.key for geometry in scene.geometries if geometry.streamed is not None}:
             kept.forget_streamed(but=pages)  # before others are uploaded, for both may not fit
         try:
-            self.lighting = LightingUploads(self._scope, store, scene, plan, shadows)
+            self.lighting = LightingUploads(self._scope, store, scene, plan, shadows, camera)
             if plan.matte_light.lit:
                 self.matte_lighting = self._lighting_of_captured(
                     store, scene, plan, plan.matte_light.names, matte_shadows
@@ -87,7 +87,8 @@ class Uploads:
     def _lighting_of_captured(
         self, store: Store, scene: Scene, plan: Plan, names: tuple[str, ...], shadows: Shadows | None
     ) -> LightingUploads:
-        return LightingUploads(self._scope, store, scene, replace(plan, lighting=names), shadows, materials=False)
+        plan = replace(plan, lighting=names)
+        return LightingUploads(self._scope, store, scene, plan, shadows, self.camera, materials=False)
 
     def lookup(self, key: Key, make: Callable[[], Any]) -> Any:
         """Returns what `make` puts on the device, made once for `key`; it stays at least as long as the frame."""
