@@ -1,6 +1,7 @@
 // What a block of pixels shows that is opaque, at a few places of each, one texel a cell of their lattice: blurred as splats are
-// that are looked at there; and its depth. Cells beyond the block, and of tiles where nothing is blended, are nowhere. u.corner: the first cell; u.low, u.high: the block's pixels.
-// Texels of ps_opaque and ps_place: of pixels (expand.frag). PS_DEVIATION: of the blur, in pixels.
+// that are looked at there; and its depth. Cells beyond the block, and of tiles where nothing is blended, are nowhere.
+// u.corner: the first cell; u.low, u.high: the block's pixels. Texels of ps_opaque and ps_place: of pixels (expand.frag).
+// PS_DEVIATION: of the blur, in pixels.
 
 #include "lib/visibility/lattice.glsl"
 #include "lib/translucent/place.glsl"
