@@ -69,7 +69,9 @@ def load(file: str) -> Source:
 def _expand(file: str, wanted_by: str, seen: set[str], out: list[str], lines: list[tuple[str, int]]) -> None:
     seen.add(file)
     try:
-        parts = _parts(file)
+        path = FOLDER / file
+        at = path.stat()
+        parts = _parts(path, file, (at.st_mtime_ns, at.st_size))
     except OSError as error:
         raise ShaderError(f"{wanted_by}: cannot read the shader {file}: {error.strerror}") from error
     for text, numbered, number, included in parts:
@@ -80,10 +82,11 @@ def _expand(file: str, wanted_by: str, seen: set[str], out: list[str], lines: li
 
 
 @cache
-def _parts(file: str) -> list[tuple[str, list[tuple[str, int]], int, str]]:
+def _parts(path: Path, file: str, version: tuple[int, int]) -> list[tuple[str, list[tuple[str, int]], int, str]]:
     """A file's text up to each include and from the last one on: the text, file and line of each of its lines, the
-    include's line, and what it includes; "" at the end. Many programs include the same files. OSError: no such file."""
-    parts, lines, first = [], (FOLDER / file).read_text(encoding="utf-8").splitlines(), 0
+    include's line, and what it includes; "" at the end. Many programs include the same files. `version`: a file that is
+    written anew is read anew. OSError: no such file."""
+    parts, lines, first = [], path.read_text(encoding="utf-8").splitlines(), 0
     for number, line in enumerate([*lines, '#include ""']):
         match = INCLUDE.match(line) if "#include" in line else None
         if match or number == len(lines):

@@ -16,10 +16,12 @@ void main()
   for (int row = 0; row < u.neighbours; row++) {
     ivec2 at = pixel + ivec2(texelFetch(ps_weights, ivec2(0, row), 0).x, texelFetch(ps_weights, ivec2(1, row), 0).x);
     ivec2 central = ps_central_cell(clamp(at, ivec2(0), last)) - u.corner;
+    vec4 sum = vec4(0.0);  // of one neighbour: of many terms in one sum the last digits would be lost
     for (int i = 0; i < u.sub_samples; i++) {
       ivec2 cell = central + ivec2(texelFetch(ps_members, ivec2(i, 0), 0).yz);
       float weight = texelFetch(ps_weights, ivec2(3 + i, row), 0).x;
-      out_difference += weight * texelFetch(ps_change, cell, 0);
+      sum += weight * texelFetch(ps_change, cell, 0);
     }
+    out_difference += sum;
   }
 }

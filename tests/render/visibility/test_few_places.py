@@ -10,7 +10,7 @@ from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.splat.kernel import SUPPORT
 from pointsplat_addon.render.frame.visibility.translucent import TranslucentLayers
 from pointsplat_addon.render.passes.translucent.centres import SMALL, centres_of
-from pointsplat_addon.render.passes.translucent.places import DENSE, PLACES, steep_pixels
+from pointsplat_addon.render.passes.translucent.few_places import DENSE, PLACES, steep_pixels
 from pointsplat_addon.render.passes.translucent.strata import touched_tiles
 from pointsplat_addon.render.plan.request import Request
 from scripts.scenes import build, drawing, meshes

@@ -14,8 +14,8 @@ from ...device.protocol import Device, Target, Texture
 from ...passes.tiles import TILE, Region
 from ...passes.translucent.blend import COARSE, ENLARGE
 from ...passes.translucent.centres import Centres, centres_of
+from ...passes.translucent.few_places import LEAST_FILTER, MOST_EXACT, PLACES, steep_pixels
 from ...passes.translucent.lit_splats import LitSplats
-from ...passes.translucent.places import LEAST_FILTER, MOST_EXACT, PLACES, steep_pixels
 from ...passes.translucent.strata import (
     ADD_TILE,
     ADD_TILE_BLOCK,
@@ -107,8 +107,7 @@ class TranslucentLayers:
         """Adds the differences in tiles (rows, columns) bool, which narrow splats touch, sub-sample by sub-sample."""
         if not tiles.any():
             return
-        margin = round(len(weights) ** 0.5) // 2
-        exact = None if centres is None else self._exact_pixels(splats, centres, tiles, margin)
+        exact = None if centres is None else self._exact_pixels(splats, centres, tiles)
         if exact is not None:
             assert centres is not None
             self._draw_places(view, splats, centres, shaded, tiles_with(~exact) & tiles, ~exact)
@@ -116,6 +115,7 @@ class TranslucentLayers:
         if not tiles.any():
             return
         if self._cells is None:
+            margin = round(len(weights) ** 0.5) // 2
             self._cells = TranslucentCells(self._device, self._options, self._targets, margin, self._run)
         self._cells.draw(view, self._lit, splats, shaded, weights, tiles, exact, centres)
 
@@ -136,27 +136,32 @@ class TranslucentLayers:
         ):
             self._run("expand", lambda: self._expand(view, 0, members, shaded, Region(around)))
         if self._places is None:
-            margin = filter_reach(self._filter_size) + 1
-            self._places = TranslucentPlaces(self._device, self._options, self._targets, PLACES, margin, self._run)
+            around = self._reach_of_places
+            self._places = TranslucentPlaces(self._device, self._options, self._targets, PLACES, around, self._run)
         fitted = weights_of_blurred(PLACES.lattice, view.offset, self._filter_size, PLACES.deviation)
         whole = bool(part.all())
         self._places.draw(view, self._lit, splats, shaded, fitted, tiles, None if whole else part, centres)
 
     def _exact_pixels(
-        self, splats: tuple[np.ndarray, np.ndarray], centres: Centres, tiles: np.ndarray, margin: int
+        self, splats: tuple[np.ndarray, np.ndarray], centres: Centres, tiles: np.ndarray
     ) -> np.ndarray | None:
         """Returns in which pixels each sub-sample has to be looked at, (H, W) bool; None: in most.
 
-        tiles: (rows, columns) bool, that narrow splats touch. margin: pixels around a pixel that its filter takes in.
+        tiles: (rows, columns) bool, that narrow splats touch.
         """
         options, fewer = self._options, PLACES.lattice.count < self._targets.buffer.lattice.count
         if options.kernels or options.holdout or options.tint or self._filter_size < LEAST_FILTER or not fewer:
             return None
         layers = self._targets.groups.layers
         exact = (layers > 1) | steep_pixels(*splats, centres, PLACES.steep)
-        exact = widened(exact, margin)
+        exact = widened(exact, self._reach_of_places)
         inside = tiles.repeat(TILE, axis=0).repeat(TILE, axis=1)[: exact.shape[0], : exact.shape[1]]
         return None if np.count_nonzero(exact & inside) > MOST_EXACT * np.count_nonzero(inside) else exact
+
+    @property
+    def _reach_of_places(self) -> int:
+        """How many pixels away the places lie that a pixel takes in."""
+        return filter_reach(self._filter_size) + 1
 
     def _add(self, tile: PictureTile) -> None:
         """Adds the differences of a tile to the sums."""

@@ -23,9 +23,7 @@ from ...passes.translucent.cells import (
     splats_in,
 )
 from ...passes.translucent.centres import Centres
-from ...passes.translucent.lit_splats import LitSplats
-from ...passes.translucent.options import TranslucentOptions
-from ...passes.translucent.places import (
+from ...passes.translucent.few_places import (
     CHANGE_PLACES,
     DIFFERENCE_PLACES,
     DIFFERENCE_PLACES_PROGRAM,
@@ -35,6 +33,8 @@ from ...passes.translucent.places import (
     expand_places_program,
     in_part,
 )
+from ...passes.translucent.lit_splats import LitSplats
+from ...passes.translucent.options import TranslucentOptions
 from ...passes.translucent.strata import member_texels, weight_rows, widened
 from ...passes.uniforms import SampleView
 from ...passes.visibility.buffer import lattice_values

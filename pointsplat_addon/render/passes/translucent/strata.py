@@ -3,7 +3,7 @@
 Splats that are at least a pixel wide are looked at in the middle of the pixel, once for each layer: a group, or what is
 open. With L what they send to the eye and T what they let through, the layer gains L - (1 - T) opaque, and these
 differences go through the pixel filter by the weights of the layer's sub-samples. Edges of what is opaque are as exact
-as without them. Narrower splats are looked at in a few places of a pixel (places.py), or in each sub-sample
+as without them. Narrower splats are looked at in a few places of a pixel (few_places.py), or in each sub-sample
 (cells.py).
 
 Captured splats (passes/captured) have the pixel filter in them, and are to be seen as their training saw them: where a
