@@ -31,7 +31,9 @@ from .sync import Synchronizer
 LOG = logging.getLogger(__name__)
 STILL_SECONDS = 0.2  # without a change before the picture is refined
 NAVIGATION_SAMPLES = FEW.count  # of each pixel while the view moves: one lattice of the visibility buffer
+MORE_PAGES = 0.25  # of those of a picture have to come before another one is drawn, or all that are to come
 LEAST_PAUSE = 0.3  # seconds between two pictures of a still view for which pages come
+LONGEST_PAUSE = 2.0  # seconds, after which fewer pages are enough, where that is longer than drawing takes
 
 
 class Viewport:
@@ -106,7 +108,9 @@ class Viewport:
         if not (more or self._coarse or self._hasty or soft):
             frame, more = self._lit(frame)
         if streamed is not None and self._begun != begun:
-            self._made_at, self._made_in = began, time.perf_counter() - began
+            # The first picture compiled shaders, which others need not.
+            compiled = self._made_at > 0
+            self._made_at, self._made_in = began, time.perf_counter() - began if compiled else 0.0
         if self._coarse and self._begun != begun:
             wait(MAIN_GPU.renderer().device)
             self._pace.measured(time.perf_counter() - began)
@@ -218,13 +222,15 @@ class Viewport:
 
     def _is_behind(self, now: float) -> bool:
         """Whether pages have come that the frame lacks, or were to come when it was begun. While more are to come, as
-        much time goes to them as to drawing what is there."""
+        much time goes to them as to drawing what is there, and pictures are those of ever more pages."""
         streamed = None if self._frame is None else self._frame.frame_plan.streamed
         if streamed is None or not (self._hasty or streamed.waiting):
             return False
         if not POOL.is_busy(VIEWPORT):
             return self._hasty or streamed.arrivals != POOL.arrivals
-        return streamed.arrivals != POOL.arrivals and now - self._made_at > 2 * self._made_in + LEAST_PAUSE
+        arrived, since = POOL.arrivals - streamed.arrivals, now - self._made_at
+        more = arrived > MORE_PAGES * streamed.drawn or (arrived > 0 and since > LONGEST_PAUSE)
+        return more and since > 2 * self._made_in + LEAST_PAUSE
 
     def _drop(self) -> None:
         """Release the frame, so that the next drawing starts another."""
