@@ -136,8 +136,8 @@ class TranslucentLayers:
         ):
             self._run("expand", lambda: self._expand(view, 0, members, shaded, Region(around)))
         if self._places is None:
-            around = self._reach_of_places
-            self._places = TranslucentPlaces(self._device, self._options, self._targets, PLACES, around, self._run)
+            margin = self._reach_of_places
+            self._places = TranslucentPlaces(self._device, self._options, self._targets, PLACES, margin, self._run)
         fitted = weights_of_blurred(PLACES.lattice, view.offset, self._filter_size, PLACES.deviation)
         whole = bool(part.all())
         self._places.draw(view, self._lit, splats, shaded, fitted, tiles, None if whole else part, centres)
