@@ -53,7 +53,6 @@
 #define PS_WIDENED 1.4  // how far circles reach in cells at most, over what their solid angle tells
 #define PS_LAYER 0.5  // half a cell: how much farther away a surface is at its other end, over the tangent of its tilt
 #define PS_LEAST_TILT 0.05  // cosine
-#define PS_BEYOND 0.16  // half a cell: how far behind the plane of what emits light others lie at least that it hides, over its distance
 #define PS_FLATTEST 0.02  // cosine between a surface and the way to it, from which on planes lie farther away than that tells
 #define PS_SPLATS 1.0  // how large nodes of captured splats may be, over a cell
 // Of the world's picture a cell shows so many parts each way, in the level that is about as blurred as these are wide: blurred as
@@ -75,11 +74,6 @@ vec3 ps_mirrored[PS_CELLS * PS_CELLS];  // what PsGathered has of it, before med
 float ps_fronts = 0.0, ps_backs = 0.0;  // solid angles of surfaces that were seen from before, and from behind
 float ps_left[PS_CELLS * PS_CELLS];  // one over the distance of what is seen from behind, the latest
 float ps_inside[PS_CELLS * PS_CELLS];  // covered by surfaces that are seen from before, less those from behind
-#ifdef PS_SHINING
-vec4 ps_quarters[PS_CELLS * PS_CELLS];  // shares of the cell's quarters that are covered, where layers hide each other
-vec4 ps_earlier[PS_CELLS * PS_CELLS];  // and what was covered of them by layers before the latest
-vec3 ps_plane[PS_CELLS * PS_CELLS];  // of what emits light in that: its normal over its distance
-#endif
 uvec2 ps_full = uvec2(0u);  // cells that are covered, a bit each, 8 for a row, 4 rows in each number
 
 struct PsGathered {
@@ -122,29 +116,7 @@ struct PsSeen {
 };
 
 #ifdef PS_SHINING
-// How much more of a cell is covered by a piece, `whole` of it in the rectangle from `low` to `high` of its sides; `kept`: of what it
-// was covered by.
-float ps_cover_quarters(int i, vec2 low, vec2 high, float whole, float kept, PsSeen seen, PsNodeLook look)
-{
-  vec2 first = clamp((0.5 - low) / max(high - low, 1e-6), 0.0, 1.0);
-  vec4 wanted = 4.0 * whole * vec4(first, 1.0 - first).xzxz * vec4(first.yy, 1.0 - first.yy);
-  vec4 quarters = ps_quarters[i] * kept, earlier = min(ps_earlier[i], quarters);
-  vec3 plane = ps_plane[i];
-  bool counts = whole > 0.0 && !look.scattered;
-  bool next = counts && dot(plane, seen.direction) - seen.nearness > PS_BEYOND * length(plane);
-  earlier = next ? quarters : earlier;
-  bool begins = counts && seen.shining && (next || plane == vec3(0.0));
-  ps_plane[i] = begins ? seen.plane : next ? vec3(0.0) : plane;
-  ps_earlier[i] = earlier;
-  vec4 room = 1.0 - quarters;
-  wanted = look.scattered ? (1.0 - exp(-wanted)) * room : wanted * (1.0 - earlier);
-  vec4 got = min(wanted, room);
-  // What finds its own quarters covered covers the others.
-  float rest = dot(wanted - got, vec4(1.0)), gaps = dot(room - got, vec4(1.0));
-  got += (room - got) * min(rest / max(gaps, 1e-6), 1.0);
-  ps_quarters[i] = quarters + got;
-  return 0.25 * dot(got, vec4(1.0));
-}
+#include "lib/indirect/shining_layers.glsl"
 #endif
 
 // How much of a cell is closed of which a share is covered.

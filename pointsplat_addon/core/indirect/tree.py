@@ -40,9 +40,8 @@ class LightTree:
     thickness: np.ndarray  # (M,) float32: how far along the axis, either way, all its surfels' disks lie at most
     scattered: np.ndarray  # (M,) float32: share of the area that belongs to leaves and hairs
     captured: np.ndarray | None  # (M,) bool: most of the area belongs to captured splats; None: of no node
-    shining: (
-        np.ndarray | None
-    )  # (M,) bool: most of the area emits light; None: of no node, or there are captured splats
+    # (M,) bool: most of the area emits light; None: of no node, or there are captured splats
+    shining: np.ndarray | None
     first: np.ndarray  # (M,) int32: first child; -1: a leaf
     octants: np.ndarray  # (M,) uint8: which of the eight children there are, bit by bit
     edge: np.ndarray  # (M, 3) float32: of leaves that are rectangles or triangles, as Surfels.edge; else (0, 0, 0)

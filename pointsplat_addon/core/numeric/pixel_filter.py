@@ -78,8 +78,7 @@ def weights_of_blurred(lattice: Lattice, offset: tuple[float, float], size: floa
     together they blur as much as the filter does. They add up to 1.
 
     What edges of sums of splats look like is the nearest to what the filter shows, by least squares over all
-    frequencies, of splats of several widths. deviation: of the Gaussian
-    by which they are widened, in pixels.
+    frequencies, of splats of several widths. deviation: of the Gaussian by which they are widened, in pixels.
     """
     size, reach = max(size, lattice.spacing), filter_reach(size)
     y, x = (axis.reshape(-1) - reach for axis in np.indices(2 * (2 * reach + 1,)))

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ....core.numeric.lattice import Lattice
+from ....shading.interface import Block, Interface
 from ...device.owned import Owned, texture_of
 from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ...passes.tiles import Region
@@ -143,17 +144,9 @@ class TranslucentCells:
             around.release()
 
     def _expand(self, view: SampleView, found: PixelBlock, around: Texture, shaded: dict[str, Texture]) -> None:
-        targets, lattice = self._targets, self._lattice
+        targets = self._targets
         program = expand_cells_program(targets.behind is not None, targets.groups.places is not None)
-        used = (side / whole for side, whole in zip(lattice.size(found.size), self._cells, strict=True))
-        record = view.record(
-            EXPAND_CELLS,
-            corner=first_cell(lattice, found, targets.size_of_tile),
-            low=found.low,
-            high=found.high,
-            rectangle=(0.0, 0.0, *used),
-            **targets.buffer.values,
-        )
+        record = self._record_of_cells(EXPAND_CELLS, view, found)
         textures = self._shown(shaded) | {"ps_depths": targets.buffer.depths}
         textures |= {"ps_numbers": self._numbers, "ps_wanted": around}
         self._device.draw(program, self._expanded, uniforms=record, textures=textures, vertices=6)
@@ -175,21 +168,46 @@ class TranslucentCells:
         shaded: dict[str, Texture],
         mask: Texture | None,
     ) -> None:
-        targets, lattice = self._targets, self._lattice
-        assert targets.translucent is not None
+        targets = self._targets
         program = difference_cells_program(self._options, targets.behind is not None, targets.groups.places is not None)
-        record = view.record(
-            DIFFERENCE_CELLS,
-            corner=first_cell(lattice, found, targets.size_of_tile),
-            sub_samples=lattice.count,
-            neighbours=rows.size[1],
-            **targets.buffer.values,
-        )
-        textures = self._shown(shaded) | {"ps_layer": self._layer, "ps_members": self._members, "ps_weights": rows}
+        textures = self._shown(shaded) | {"ps_layer": self._layer}
         textures |= {} if self._cut is None else {"ps_cut": self._cut}
+        self._add(program, DIFFERENCE_CELLS, textures, view, found, rows, inside, mask)
+
+    def _record_of_cells(self, fields: Block, view: SampleView, found: PixelBlock, **own: object) -> np.ndarray:
+        """Uniforms of a block of pixels: where its cells and those of the picture lie."""
+        lattice, size = self._lattice, self._targets.size_of_tile
+        used = (side / whole for side, whole in zip(lattice.size(found.size), self._cells, strict=True))
+        return view.record_of(
+            fields,
+            corner=first_cell(lattice, found, size),
+            low=found.low,
+            high=found.high,
+            rectangle=(0.0, 0.0, *used),
+            size_of_tile=size,
+            **lattice_values(lattice, size),
+            **own,
+        )
+
+    def _add(
+        self,
+        program: Interface,
+        fields: Block,
+        textures: dict[str, Texture],
+        view: SampleView,
+        found: PixelBlock,
+        rows: Texture,
+        inside: Region,
+        mask: Texture | None,
+    ) -> None:
+        """Adds differences in a block, by a program with these uniforms that weighs its cells by `rows`."""
+        assert self._targets.translucent is not None
+        textures = textures | {"ps_members": self._members, "ps_weights": rows}
         if mask is not None:
             program, textures = in_part(program), textures | {"ps_part": mask}
-        target = targets.translucent.difference_target
+        neighbours = {"sub_samples": self._lattice.count, "neighbours": rows.size[1]}
+        record = self._record_of_cells(fields, view, found, **neighbours)
+        target = self._targets.translucent.difference_target
         inside.draw(self._device, program, target, uniforms=record, textures=textures, blend=True)
 
     def _shown(self, shaded: dict[str, Texture]) -> dict[str, Texture]:
@@ -234,18 +252,10 @@ class TranslucentPlaces(TranslucentCells):
         return self._owned.target(self._opaque, self._place)
 
     def _expand(self, view: SampleView, found: PixelBlock, around: Texture, shaded: dict[str, Texture]) -> None:
-        layers, size = self._targets.translucent, self._targets.size_of_tile
+        layers = self._targets.translucent
         assert layers is not None
         assert layers.opaque is not None
-        used = (side / whole for side, whole in zip(self._lattice.size(found.size), self._cells, strict=True))
-        record = view.record(
-            EXPAND_PLACES,
-            corner=first_cell(self._lattice, found, size),
-            low=found.low,
-            high=found.high,
-            rectangle=(0.0, 0.0, *used),
-            **lattice_values(self._lattice, size),
-        )
+        record = self._record_of_cells(EXPAND_PLACES, view, found)
         textures = {"ps_opaque": layers.opaque, "ps_place": layers.place, "ps_wanted": around}
         self._device.clear(self._blended)
         program = expand_places_program(self._where)
@@ -260,25 +270,12 @@ class TranslucentPlaces(TranslucentCells):
         shaded: dict[str, Texture],
         mask: Texture | None,
     ) -> None:
-        layers, size = self._targets.translucent, self._targets.size_of_tile
-        assert layers is not None
-        record = view.record(
-            DIFFERENCE_PLACES,
-            corner=first_cell(self._lattice, found, size),
-            size_of_tile=size,
-            sub_samples=self._lattice.count,
-            neighbours=rows.size[1],
-            **lattice_values(self._lattice, size),
-        )
         shown = {"ps_layer": self._layer, "ps_opaque": self._opaque, "ps_place": self._place}
         spacing = CHANGE_PLACES.record(spacing=self._lattice.spacing)
         change = change_places_program(self._where)
         self._device.draw(change, self._change_target, uniforms=spacing, textures=shown)
-        textures = {"ps_change": self._change, "ps_members": self._members, "ps_weights": rows}
-        program = DIFFERENCE_PLACES_PROGRAM
-        if mask is not None:
-            program, textures = in_part(program), textures | {"ps_part": mask}
-        inside.draw(self._device, program, layers.difference_target, uniforms=record, textures=textures, blend=True)
+        textures = {"ps_change": self._change}
+        self._add(DIFFERENCE_PLACES_PROGRAM, DIFFERENCE_PLACES, textures, view, found, rows, inside, mask)
 
 
 def splats_of(

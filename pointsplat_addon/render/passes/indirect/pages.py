@@ -27,8 +27,8 @@ def node_rows(tree: LightTree, radiance: np.ndarray) -> np.ndarray:
     texel 0  place and radius of the node
           1  area; its first child, or for a leaf -1 less the code of its edge, 0: it has none; its octants, 8 bits,
              whether it is scattered, 1 bit, how far normals lie along the axis and how thick it is along that over
-             its radius, 6 bits each, whether it holds balls alone, captured splats, and what emits light, 1 bit
-             each; the axis
+             its radius, 6 bits each, whether it holds balls alone, captured splats, and what emits light, 1
+             bit each; the axis
           2  direction and length of `facing`; radiance before, in two numbers
           3  radiance behind and inside, in two numbers each
     """

@@ -87,8 +87,7 @@ def steep_pixels(centre: np.ndarray, shape: np.ndarray, centres: Centres, steep:
     """Returns in which pixels optical depths change too fast for splats to be widened, or splats are too dense for
     that, (H, W) bool.
 
-    centre, shape: (N, 4) as the pass `light` left them. centres: of these. `steep`: of the
-    places.
+    centre, shape: (N, 4) as the pass `light` left them. centres: of these. `steep`: of the places.
     """
     inner = slice(centres.reach, -centres.reach)
     with np.errstate(all="ignore"):
