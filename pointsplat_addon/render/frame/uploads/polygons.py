@@ -87,10 +87,10 @@ class PolygonUploads:
         meshes = [geometry.mesh for geometry in members if geometry.mesh is not None]
         content = tuple(geometry.key for geometry in members)
         looks = "/".join(digest(mesh, scene.materials) for mesh in meshes)
-        more = (plan.variant, constants_key(scene), scene.materials.cull.tobytes())
+        more = (plan.variant.emission, constants_key(scene), scene.materials.cull.tobytes())
         page: PolygonPage = self._scope.lookup(
             Key(Kind.POLYGON_PAGE, content, looks, other=more),
-            lambda: PolygonPage(self._scope.device, meshes, scene.materials, plan.variant),
+            lambda: PolygonPage(self._scope.device, meshes, scene.materials, plan.variant.emission),
         )
 
         @functools.cache
@@ -116,13 +116,13 @@ class PolygonUploads:
         if geometry.primitive == "AUTO" and not whole:
             parts = self._store.lookup(Key(Kind.PARTS, geometry.key), lambda: make_parts(mesh))
         translucent = passing(mesh, scene.materials) is not None
-        more = (plan.variant, constants_key(scene), scene.materials.cull.tobytes(), parts is not None, whole)
+        more = (plan.variant.emission, constants_key(scene), scene.materials.cull.tobytes(), parts is not None, whole)
         key = Key(Kind.POLYGON_MESH, geometry.key, digest(mesh, scene.materials), other=more)
 
         def make(mesh: Mesh = mesh, parts: Parts | None = parts) -> PolygonMesh:
             order = parts.order if parts is not None else coherent_order(mesh) if whole else None
             return PolygonMesh(
-                self._scope.device, mesh, scene.materials, plan.variant, parts, order, whole, translucent
+                self._scope.device, mesh, scene.materials, plan.variant.emission, parts, order, whole, translucent
             )
 
         found: PolygonMesh = self._scope.lookup(key, make)

@@ -17,7 +17,6 @@ from ....core.surface.appearance import at_corners, graphs_of, interpolates, pic
 from ....core.surface.density import PART, Parts
 from ...device.packing import PAGE_WIDTH, paged
 from ...device.protocol import CHANNELS, Device, Texture, WriteTexels
-from ..gbuffer import Variant
 from .corners import corner_texels
 from .pictures import baked_defines
 
@@ -199,15 +198,15 @@ class PolygonMesh:
         device: Device,
         mesh: Mesh,
         table: MaterialTable,
-        variant: Variant,
+        emission: bool,
         parts: Parts | None = None,
         order: np.ndarray | None = None,
         placing: bool = False,
         translucent: bool = False,
     ) -> None:
-        """`parts`, `order`, `placing`, `translucent`: see arrange."""
+        """`emission`, `parts`, `order`, `placing`, `translucent`: see arrange."""
         chunked = parts is None and len(mesh.triangles) >= FEWEST_CHUNKS * CHUNK
-        arranged = arrange(mesh, table, variant.emission, parts, order, chunked, placing, translucent)
+        arranged = arrange(mesh, table, emission, parts, order, chunked, placing, translucent)
         self.triangles, self.origin, self.box = arranged.triangles, arranged.origin, arranged.box
         self.groups = arranged.groups
         self.order = arranged.order if any(group.placed for group in arranged.groups) else None
@@ -233,13 +232,13 @@ class PolygonMesh:
 
 def _chunk_boxes(mesh: Mesh, which: np.ndarray | slice) -> np.ndarray:
     """Returns boxes (C, 2, 3) float64 around each CHUNK of some triangles of a mesh, in their order."""
-    triangles = mesh.triangles[which]
-    begin = np.arange(0, len(triangles), CHUNK)
+    vertices = mesh.triangles[which].reshape(-1)
+    begin = np.arange(0, len(vertices), 3 * CHUNK)
     found = np.empty((len(begin), 2, 3))
     for axis, values in enumerate(mesh.position.T):
-        corners = values[triangles]
-        found[:, 0, axis] = np.minimum.reduceat(corners.min(axis=1), begin)
-        found[:, 1, axis] = np.maximum.reduceat(corners.max(axis=1), begin)
+        corners = values[vertices]
+        found[:, 0, axis] = np.minimum.reduceat(corners, begin)
+        found[:, 1, axis] = np.maximum.reduceat(corners, begin)
     return found
 
 

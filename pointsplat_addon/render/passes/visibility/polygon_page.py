@@ -19,7 +19,6 @@ from ....core.scene.mesh import Mesh
 from ....core.surface.density import coherent_order
 from ...device.packing import PAGE_WIDTH
 from ...device.protocol import CHANNELS, Device, Texture
-from ..gbuffer import Variant
 from .polygon_mesh import BLOCK, LOOKS, Arranged, Group, arrange
 
 MOST_TRIANGLES = 1 << 17  # of a page: a mesh that changes takes along those on its page
@@ -41,8 +40,9 @@ class PolygonPage:
     `with_pictures` gives its kinds the pictures that they show, before it is drawn.
     """
 
-    def __init__(self, device: Device, meshes: list[Mesh], table: MaterialTable, variant: Variant) -> None:
-        arranged = [arrange(one, table, variant.emission, order=coherent_order(one), placing=True) for one in meshes]
+    def __init__(self, device: Device, meshes: list[Mesh], table: MaterialTable, emission: bool) -> None:
+        """`emission`: something glows."""
+        arranged = [arrange(one, table, emission, order=coherent_order(one), placing=True) for one in meshes]
         self.origin = np.array([mesh.origin for mesh in arranged])  # (M, 3) float64
         self.box = np.array([mesh.box for mesh in arranged])  # (M, 2, 3) float64, relative to the origins
         self.first = offsets([mesh.triangles for mesh in arranged])  # (M + 1,) triangle of each mesh
