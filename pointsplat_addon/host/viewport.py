@@ -51,7 +51,6 @@ class Viewport:
         self._lighting: Lighting | None = None  # brings indirect light into a view that stands still
         self._known: KnownLight | None = None  # by which views are lit until then
         self._coarse = False
-        self._changing = False  # the view does, or the scene has: smoke may cast soft shadows
         self._pace = Pace()
         self._changed_at = float("-inf")
         self._error = ""
@@ -71,7 +70,6 @@ class Viewport:
         self._drop()
         self._error = ""
         self._hasty, self._made_at, self._made_in = False, 0.0, 0.0
-        self._changing, self._changed_at = self._view is not None, time.perf_counter()
 
     def draw(self, engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Draw one more sample into the region, and request a redraw while there is more to do."""
@@ -104,8 +102,7 @@ class Viewport:
         frame = self._frame_for(self._scene, camera, settings, pixel_size(depsgraph.scene_eval.render))
         more = frame.sample() if self._pacing is None else self._pacing.sample(frame)
         streamed = frame.frame_plan.streamed
-        soft = self._changing and _has_soft_shadows(frame)
-        if not (more or self._coarse or self._hasty or soft):
+        if not (more or self._coarse or self._hasty):
             frame, more = self._lit(frame)
         if streamed is not None and self._begun != begun:
             # The first picture compiled shaders, which others need not.
@@ -116,7 +113,7 @@ class Viewport:
             self._pace.measured(time.perf_counter() - began)
         _present(frame, camera, smooth=self._coarse and frame.frame_plan.request.camera.window != camera.window)
         engine.update_stats("", "" if streamed is None else streamed.progress)
-        if more or self._coarse or soft:
+        if more or self._coarse:
             engine.tag_redraw()
         if streamed is not None and (streamed.waiting or self._hasty):
             page_arrivals.watch()
@@ -161,13 +158,9 @@ class Viewport:
         if self._frame is None or view != self._view:
             # The first picture and changes of the scene alone are drawn finely at once.
             self._coarse = self._view is not None and view != self._view
-            self._changing = self._changing or self._coarse
             self._changed_at, self._view = now, view
-        elif (self._coarse or self._changing) and now - self._changed_at > STILL_SECONDS:
-            known = not (self._coarse or _has_soft_shadows(self._frame))
-            self._coarse = self._changing = False
-            if known:
-                return self._frame
+        elif self._coarse and now - self._changed_at > STILL_SECONDS:
+            self._coarse = False
         elif self._is_behind(now):
             pass  # once more at the same fineness, with the pages that have come since
         else:
@@ -187,7 +180,6 @@ class Viewport:
             settings.viewport_samples,
             interactive=True,
             moving=self._coarse,
-            changing=self._changing,
         )
         self._pacing = None
         if self._coarse and settings.budget == "TIME":
@@ -239,12 +231,6 @@ class Viewport:
         if self._lighting is not None:
             self._lighting.release()
         self._frame = self._lighting = None
-
-
-def _has_soft_shadows(frame: Frame) -> bool:
-    """Whether smoke casts softer shadows than it might."""
-    shadows = frame.frame_plan.shadows
-    return shadows is not None and shadows.coarse
 
 
 def _present(frame: Frame, camera: camera_module.Camera, smooth: bool) -> None:

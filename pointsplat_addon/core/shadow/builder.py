@@ -38,12 +38,11 @@ __all__ = ["Casters", "ShadowTable", "build_table", "casters"]
 
 
 def build_table(
-    light: Light, batches: Sequence[Casters], resolution: int, around: Sequence[Casters] = (), finely: bool = True
+    light: Light, batches: Sequence[Casters], resolution: int, around: Sequence[Casters] = ()
 ) -> ShadowTable:
     """The shadow table of a light, `resolution` cells high: over half a turn, or over the casters where they fill less.
 
-    `around`: splats that the cells cover too, but that cast no shadow. `finely`: smoke is drawn into cells finer than
-    its splats where it can be; else the table is there sooner.
+    `around`: splats that the cells cover too, but that cast no shadow.
     Raises ValueError for a light whose position or direction is not finite, or for more cells than 32-bit links
     address."""
     if not (np.isfinite(light.position).all() and np.isfinite(light.direction).all()):
@@ -54,15 +53,8 @@ def build_table(
         nothing = Frame(True, np.eye(3), np.zeros(3), False, -np.ones(2), np.ones(2), 1)
         return ShadowTable(nothing, Emitter("POINT", np.zeros((2, 3))), (), colored)
     frame = fit_frame(light, [*batches, *around], resolution)
-    can_be_fine = draws_smoke_finely(frame, batches)
-    fine = can_be_fine and finely
+    fine = draws_smoke_finely(frame, batches)
     rows = GridRows(frame, [cell_grids(frame, coarsening(frame, kind, batches, fine)) for kind in KINDS], fine)
     blocks = [*entry_blocks(rows, batches, colored)]
     emitter = emitter_of(light, frame)
-    return ShadowTable(
-        frame,
-        emitter,
-        tuple(accumulate_levels(rows, blocks, emitter.shape != "POINT")),
-        colored,
-        can_be_fine and not fine,
-    )
+    return ShadowTable(frame, emitter, tuple(accumulate_levels(rows, blocks, emitter.shape != "POINT")), colored)

@@ -9,12 +9,13 @@ import numpy as np
 from ..numeric.vectors import cross
 from .captured.entries import captured_entries
 from .casters import CHUNK, OPAQUE_DEPTH, Casters, rotate_vectors
-from .fine_smoke import FINE_CHUNK, fine_entries
+from .fine_smoke import FINE_CHUNK, fine_entries, merged_entries
 from .grid import directions, plane_distance, slopes
 from .rows import HALF_EXTENT, WIDEST_DEVIATION, DistanceSpans, GridRows, distance_spans, level_of_splats
 
 LEAST_SHARE = 1 / 256  # of a row or column: below it, the nearer one takes all
 BLOCK_ENTRIES = 1 << 17  # entries that are dealt out to runs together, and
+MERGED_ENTRIES = 1 << 20  # entries of smoke among which those next to each other become one
 EntryBlock = tuple[np.ndarray, np.ndarray, np.ndarray]  # what _entries returns
 
 
@@ -41,9 +42,30 @@ def _batch_entries(rows: GridRows, batch: Casters, share: float) -> Iterator[Ent
         yield from captured_entries(rows, batch, share)
         return
     spans = distance_spans(rows.frame, batch)
-    step = FINE_CHUNK if rows.fine and batch.kind == "VOLUME" else CHUNK
-    for start in range(0, len(batch), step):
-        yield _splat_entries(rows, batch.take(slice(start, start + step)), spans)
+    fine = rows.fine and batch.kind == "VOLUME"
+    starts = range(0, len(batch), FINE_CHUNK if fine else CHUNK)
+    found = (_splat_entries(rows, batch.take(slice(start, start + starts.step)), spans) for start in starts)
+    yield from _merged(rows, found) if fine else found
+
+
+def _merged(rows: GridRows, blocks: Iterator[EntryBlock]) -> Iterator[EntryBlock]:
+    """Entries of smoke in which what is next to each other in a cell is one entry, many of them at a time."""
+    parts, held = [], 0
+    for block in blocks:
+        parts.append(block)
+        held += len(block[0])
+        if held >= MERGED_ENTRIES:
+            yield from _blocks(merged_entries(rows, *concatenate_columns(parts)))
+            parts, held = [], 0
+    if held:
+        yield from _blocks(merged_entries(rows, *concatenate_columns(parts)))
+
+
+def _blocks(entries: EntryBlock) -> Iterator[EntryBlock]:
+    """Entries in pieces of BLOCK_ENTRIES."""
+    for start in range(0, len(entries[0]), BLOCK_ENTRIES):
+        cell, at, depth = (values[start : start + BLOCK_ENTRIES] for values in entries)
+        yield cell, at, depth
 
 
 def concatenate_columns(parts: Sequence[Sequence[np.ndarray]]) -> tuple:

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 
+from ..numeric.segments import offsets
 from ..splat.kernel import POWER
 from .casters import OPAQUE_DEPTH
 from .rows import FINE_EXTENT, GridRows
@@ -15,6 +16,9 @@ STEPS = 32  # of a cell, along each axis: shares of splats are tabulated for so 
 NODES = 4  # of Gauss's rule, along each axis of a cell
 FINE_CHUNK = 1 << 11  # splats that are drawn together, so that their shares stay in the cache
 LEAST_SHARE = 1 / 4096  # of a splat: cells with less get nothing
+SLAB = 0.5  # of a cell's width: of one cell, entries in so short a piece of the ray become one
+MOST_SLABS = 4  # for each entry: where there were more, entries are far apart as they are
+FARTHEST_SLAB = 1 << 24
 
 
 def fine_entries(
@@ -49,6 +53,50 @@ def fine_entries(
     depth = strength[which] * (weight if strength.ndim == 1 else weight[:, None])
     cell = rows.first[row] + column.reshape(-1)[index]
     return cell, distance[which], np.minimum(depth, np.float32(OPAQUE_DEPTH))
+
+
+def merged_entries(
+    rows: GridRows, cell: np.ndarray, distance: np.ndarray, depth: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Takes together what lies next to each other in a cell, at its mean distance: a ray meets few voxels, but each
+    cell has entries of all around it.
+
+    Takes and returns what `fine_entries` does, in order of cells and distances where something was taken together.
+    """
+    level = np.searchsorted(rows.cell_base, [cell.min(), cell.max()], side="right") - 1
+    if level[0] != level[1]:
+        of_entry = np.searchsorted(rows.cell_base, cell, side="right") - 1
+        found = [
+            merged_entries(rows, cell[some], distance[some], depth[some])
+            for some in (np.flatnonzero(of_entry == one) for one in np.unique(of_entry))
+        ]
+        cells, distances, depths = zip(*found, strict=True)
+        return np.concatenate(cells), np.concatenate(distances), np.concatenate(depths)
+    first = cell.min()
+    if cell.max() - first > MOST_SLABS * len(cell):
+        return cell, distance, depth
+    held = np.flatnonzero(np.bincount(cell - first))
+    number = np.zeros(held[-1] + 1, np.int32)
+    number[held] = np.arange(len(held))
+    number = number[cell - first]
+    width = SLAB * rows.step[level[0]] * (1 if rows.frame.parallel else distance.min())
+    slab = np.minimum((distance - distance.min()) / max(width, 1e-30), FARTHEST_SLAB).astype(np.int32)
+    low, high = np.full(len(held), FARTHEST_SLAB, np.int32), np.zeros(len(held), np.int32)
+    np.minimum.at(low, number, slab)
+    np.maximum.at(high, number, slab)
+    start = offsets(high - low + 1)
+    if start[-1] > MOST_SLABS * len(cell):
+        return cell, distance, depth
+    slab += (start[:-1] - low).astype(np.int32)[number]
+    channels = depth.reshape(len(depth), -1).T
+    total = np.stack([np.bincount(slab, channel, start[-1]) for channel in channels])
+    whole = total.sum(axis=0)
+    along = np.bincount(slab, channels.sum(axis=0) * distance, start[-1])
+    index = np.flatnonzero(whole > 0)
+    at = (along[index] / whole[index]).astype(np.float32)
+    sums = np.minimum(total[:, index].T, OPAQUE_DEPTH).astype(np.float32)
+    cells = np.repeat(held + first, high - low + 1)[index].astype(np.int32)
+    return cells, at, sums[:, 0] if depth.ndim == 1 else sums
 
 
 def _steps(place: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

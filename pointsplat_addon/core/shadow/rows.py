@@ -14,7 +14,7 @@ from .grid import FINER_OCTAVES, FINEST_STEP, Frame, Grid
 
 WIDEST_DEVIATION = 10.0  # radians: standard deviation of a splat that surrounds the light
 SPAN = 2.0  # ratio of distances that share a level
-ROUNDING_MARGIN = 1.001  # cells of surfaces: rounding moves no sample into wider ones
+ROUNDING_MARGIN = 1.001  # rounding moves no sample of a surface, and no voxel, into wider cells
 ONE_SPAN = 4.0  # ratio of all distances of a batch up to which they share one
 ONE_SPAN_SURFACE = 64.0  # and of samples of a surface, which would let light through where levels meet
 HALF_EXTENT = {
@@ -25,6 +25,7 @@ HALF_EXTENT = {
 SMOKE_CELL = 1.005 * 2 * HALF_EXTENT["VOLUME"]  # cells of smoke per radius of its splats: just wide enough for them
 # Half extent, in cells, of smoke that is drawn into finer ones (fine_smoke.py): they are as wide as voxels
 FINE_EXTENT = 1.4
+FINE_CELL = ROUNDING_MARGIN * HALF_EXTENT["VOLUME"] / FINE_EXTENT  # such cells per radius of its splats
 FINE_ENTRIES = 8  # cells that such a splat touches
 MOST_FINE_ENTRIES = 10 << 20  # of a table; where they were more, cells are as wide as splats
 CAPTURED_RAMP = 0.1  # TableLevel.ramp of captured splats
@@ -65,9 +66,7 @@ def draws_smoke_finely(frame: Frame, batches: Sequence[Casters]) -> bool:
     if not smoke or frame.full or FINE_ENTRIES * sum(map(len, smoke)) > MOST_FINE_ENTRIES:
         return False
     return all(
-        np.median(batch.reach) / distance_spans(frame, batch).farthest * HALF_EXTENT["VOLUME"] / FINE_EXTENT
-        >= frame.step
-        for batch in smoke
+        FINE_CELL * np.median(batch.reach) / distance_spans(frame, batch).farthest >= frame.step for batch in smoke
     )
 
 
@@ -85,7 +84,7 @@ def coarsening(frame: Frame, kind: str, batches: Sequence[Casters], fine: bool =
     for batch in found:
         spans, reach = distance_spans(frame, batch), batch.reach
         width = (
-            (HALF_EXTENT["VOLUME"] / FINE_EXTENT if fine else SMOKE_CELL) * float(np.median(reach))
+            (FINE_CELL if fine else SMOKE_CELL) * float(np.median(reach))
             if kind == "VOLUME"
             else ROUNDING_MARGIN * 2 * HALF_EXTENT[kind] * min(float(reach.max()), WIDEST_FITTED * spans.least)
         )

@@ -44,7 +44,6 @@ class ShadowTable:
     emitter: Emitter
     levels: tuple[TableLevel, ...]
     colored: bool  # optical depths have three channels
-    coarse: bool = False  # smoke is in wider cells than it might be
 
     @property
     def entries(self) -> int:

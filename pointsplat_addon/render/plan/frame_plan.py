@@ -370,7 +370,7 @@ def _shadows(
         return None, "nothing is drawn"
     before = time.perf_counter()
     found, unshadowed = make_shadows(
-        scene, request.settings, store, clock.check, limits.texture_size, request.camera, on_disk, request.changing
+        scene, request.settings, store, clock.check, limits.texture_size, request.camera, on_disk
     )
     if found is None:
         return None, unshadowed or "nothing casts shadows"

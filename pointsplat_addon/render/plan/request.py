@@ -24,7 +24,6 @@ class Request:
     crypto_levels: int = 6
     interactive: bool = False  # drawn repeatedly and at once: see render/prepare/prepare.py
     moving: bool = False  # and its view changes: it is drawn finely once nothing moves
-    changing: bool = False  # its view or its scene does: smoke casts soft shadows where sharp ones are not known yet
     coarse: bool = False  # one sample at the tolerance that was asked for exceeds the budget of time
     # Bound of the nodes of what is out of focus, over the radii of their circles of confusion: core/lens/kernel.py.
     node: float = NODE_SIZE

@@ -9,7 +9,6 @@ light passes through, strands as wide as ropes, and by other techniques all stra
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 
 from ...core.light.light_table import sorted_by_kind
 from ...core.numeric.record import record
@@ -48,7 +47,6 @@ class Tables:
     entries: int  # of all tables together
     wide: bool  # some light has a size: each sample of a picture uses another point of it
     warnings: tuple[str, ...] = ()
-    coarse: bool = False  # smoke casts softer shadows than it might
 
     @property
     def nbytes(self) -> int:
@@ -76,11 +74,6 @@ class Shadows:
         return self.tables is not None and self.tables.wide
 
     @property
-    def coarse(self) -> bool:
-        """Whether smoke casts softer shadows than it might."""
-        return self.tables is not None and self.tables.coarse
-
-    @property
     def warnings(self) -> tuple[str, ...]:
         return () if self.tables is None else self.tables.warnings
 
@@ -93,14 +86,12 @@ def make_shadows(
     texture_size: int = MAX_TEXTURE_ROWS,
     camera: Camera | None = None,
     on_disk: OnDisk = NOWHERE,
-    quick: bool = False,
 ) -> tuple[Shadows | None, str]:
     """Returns the shadows of all lights and an empty string; or None and the reason, if no light casts any.
 
     Tables and maps are in the order of the light table's rows. `check` is called between steps, and may raise to stop.
     A light whose table cannot be built casts no shadow, and a warning says so. `texture_size`: of the device. `camera`:
     that sees the shadows; None: they are for all cameras, also inside of things. `on_disk`: where tables are kept.
-    `quick`: smoke casts soft shadows, which are made sooner, where its sharp ones are not known yet.
     """
     why = why_no_shadows(scene, settings)
     if why:
@@ -127,7 +118,7 @@ def make_shadows(
     panes = make_panes(scene, lights, shown, settings.shadow_resolution, store, texture_size)
     shown = [caster for caster, one, floor in zip(casters, even, floors, strict=True) if one and not floor]
     faces = make_faces(scene, lights, shown, store)
-    build = _TableBuilder(scene, settings.shadow_resolution, store, on_disk, check, quick)
+    build = _TableBuilder(scene, settings.shadow_resolution, store, on_disk, check)
     everything = _Cast(casters, floors)
     unmapped = [light for light in lights if light.shadow and not takes_map(light)]
     mapped = [light for light in lights if light.shadow and takes_map(light)]
@@ -164,17 +155,7 @@ class _Cast:
 class _TableBuilder:
     """Builds tables of lights."""
 
-    def __init__(
-        self,
-        scene: Scene,
-        resolution: int,
-        store: Store,
-        on_disk: OnDisk,
-        check: Callable[[], None],
-        quick: bool,
-    ) -> None:
-        """`quick`: as of `make_shadows`."""
-        self._quick = quick
+    def __init__(self, scene: Scene, resolution: int, store: Store, on_disk: OnDisk, check: Callable[[], None]) -> None:
         self._scene, self._resolution, self._store, self._check = scene, resolution, store, check
         self._on_disk = on_disk
         self._warnings: list[str] = []
@@ -199,8 +180,7 @@ class _TableBuilder:
                 made.append(None if one is None else self._store.lookup(*one))
             entries = sum(table.entries for table in made if table is not None)
             wide = any(light.radius > 0 or light.kind == "AREA" for light in lights if id(light) in found)
-            coarse = any(table.coarse for table in made if table is not None)
-            return Tables(key, pack(made, MAX_TEXTURE_ROWS), entries, wide, tuple(self._warnings), coarse)
+            return Tables(key, pack(made, MAX_TEXTURE_ROWS), entries, wide, tuple(self._warnings))
 
         return self._store.lookup(key, make)
 
@@ -225,30 +205,19 @@ class _TableBuilder:
         batches: list[builder.Casters] = []
         strands: list[StrandSegments] = []
 
-        def build(light: Light, finely: bool = True) -> builder.ShadowTable | None:
+        def build(light: Light) -> builder.ShadowTable | None:
             if not batches and not strands:
                 batches.extend(splat_batches(scene, casters, spacing, store, self._check))
                 strands.extend(strand_segments(casters, spacing, store))
             try:
                 all_casters = [*batches, *(one.casters_toward(light) for one in strands)]
-                return builder.build_table(light, all_casters, resolution, around, finely)
+                return builder.build_table(light, all_casters, resolution, around)
             except ValueError as error:
                 self._warnings.append(f"{light.name or 'A light'} casts no shadow: {error}")
                 return None
 
-        def make(key: Key, light: Light) -> builder.ShadowTable | None:
-            return self._on_disk.lookup(key, lambda: build(light), TABLE_FORM)
-
-        def make_quickly(key: Key, light: Light) -> builder.ShadowTable | None:
-            made = build(light, finely=False)
-            return made if made is None or made.coarse else store.lookup(key, lambda: made)
-
-        found: dict[int, tuple[Key, Callable[[], builder.ShadowTable | None]]] = {}
-        for light in lights:
-            key = Key(Kind.SHADOW_TABLE, casters_key, other=light_key(light))
-            if self._quick and key not in store:
-                soft = Key(Kind.SHADOW_TABLE, casters_key, other=(light_key(light), "soft"))
-                found[id(light)] = soft, partial(make_quickly, key, light)
-            else:
-                found[id(light)] = key, partial(make, key, light)
-        return found
+        keys = [Key(Kind.SHADOW_TABLE, casters_key, other=light_key(light)) for light in lights]
+        return {
+            id(light): (key, lambda key=key, light=light: self._on_disk.lookup(key, lambda: build(light), TABLE_FORM))
+            for key, light in zip(keys, lights, strict=True)
+        }
