@@ -88,6 +88,30 @@ def test_a_plane_mirror_shows_what_stands_before_it_as_if_it_stood_behind_it():
     assert np.sqrt(np.mean(off**2)) < 0.01  # 0.0087
 
 
+@pytest.mark.parametrize("roughness", [0.0, 0.15])
+def test_what_mirrors_show_of_a_room_knows_nothing_of_what_is_outside(roughness):
+    """A closed room of thin walls that shine evenly, under a sky five times as bright. Cells in which light is
+    gathered for what is mirrored at the rim of a ball are wider than the room."""
+    around = [
+        (of(cube_mesh("walls", 1.0), RED), moved(middle, size))
+        for middle, size in (
+            ((0, 0, -1.55), (6, 6, 0.1)), ((0, 0, 1.55), (6, 6, 0.1)), ((-3.05, 0, 0), (0.1, 6, 3)),
+            ((3.05, 0, 0), (0.1, 6, 3)), ((0, -3.05, 0), (6, 0.1, 3)), ((0, 3.05, 0), (6, 0.1, 3)),
+        )
+    ]  # fmt: skip
+    ball = of(sphere_mesh("mirror ball", 24), METAL), moved((-1, 1.5, -0.3), 0.35)
+    walls = materials(
+        4, base_color=[[1.0] * 3, [0.5] * 3, [0] * 3, [0.5] * 3], specular=[0.0] * 4, metallic=[1, 0, 0, 0],
+        roughness=[roughness, 1, 1, 1], emission=[[0] * 3, [0.5] * 3, [0] * 3, [0] * 3],
+    )  # fmt: skip
+    sky = World(np.full(3, 5.0))
+    seen = camera((-1.0, -0.8, -0.1), (-1, 1.5, -0.3), SIZE)
+    of_room = scene(ball, *around, lights=(), world=sky, table=walls)
+    shown = drawn(Case(of_room, seen, replace(SETTINGS, bounces=12)))
+    # E / (1 - albedo) is 1; next to corners of the room, and beside the ball. Receivers within walls: 0.197.
+    assert np.abs(shown - 1).max() < 0.09  # 0.080
+
+
 def test_a_mirror_ball_shows_a_shining_square_where_rays_meet_it():
     """A ball of points, which is exact, before a square above which there is nothing."""
     seen, middle, radius = camera((0.0, -4.0, 0.6), (0, 0, 0), SIZE), np.array([0.0, 0, 0.1]), 1.0

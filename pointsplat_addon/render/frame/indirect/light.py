@@ -24,10 +24,9 @@ from ...passes.uniforms import SampleView
 from ..uploads.uploads import Uploads
 from .known import Known
 from .mirrors import Mirrors, Shown
-from .receivers import Groups, Receivers, choose_receivers, directions_to_eye, sites_of, sole_groups
+from .receivers import SIDES, Groups, Receivers, choose_receivers, directions_to_eye, sites_of, sole_groups
 from .scattered import WIDER, Scattered, scattered_cells
 
-SIDES = 4 * TILE, 2 * TILE, TILE  # of squares of pixels that have receivers, one after the other
 FEWEST_IN_TILE = 3  # groups of a surface in a square, from which on it has a receiver there beside that of the largest
 FEWEST_SHARE = 16  # a surface has a receiver in wider squares if it fills one in so many pixels; tilted ones fill few
 RIM = 0.4  # cosine to the eye below which what mirrors gathers, as that changes fast there
@@ -123,7 +122,7 @@ class GroupsInIndirectLight:
         )
         eye = view.world_from_view[:3, 3] - self._light.origin
         groups = Groups(eye, place[:, :3] + eye, up[:, :3], place[:, 3], y * width + x)
-        self._lit(view, groups, up[:, 3], directions_to_eye(view, place[:, :3]), draw, share=True)
+        self._lit(view, groups, up[:, 3], directions_to_eye(view, place[:, :3]), draw, directly=True)
 
     def _lit(
         self,
@@ -132,10 +131,10 @@ class GroupsInIndirectLight:
         roughness: np.ndarray,
         to_eye: np.ndarray,
         draw: Callable[[dict[str, Texture]], None],
-        share: bool = False,
+        directly: bool = False,
     ) -> None:
         """Calls `draw` with what groups that are seen by way of mirrors receive, as `gather` returns it; see Lit.
-        `share`: as of _receive."""
+        `directly`: as of _receive."""
         count, device = len(groups.depth), self._device
         place = np.column_stack([groups.position - groups.eye, groups.depth]).astype(np.float32)
         up = np.column_stack([groups.normal, roughness]).astype(np.float32)
@@ -144,7 +143,7 @@ class GroupsInIndirectLight:
         listed = device.texture(size, "RG32F", data)
         lists = _Lists(device, size, False, (paged(place, 4)[1], paged(up, 4)[1]))
         try:
-            self._receive(view, lists, listed, groups, place, up, to_eye, share)
+            self._receive(view, lists, listed, groups, place, up, to_eye, directly)
             draw(lists.received)
         finally:
             listed.release()
@@ -183,24 +182,25 @@ class GroupsInIndirectLight:
         place: np.ndarray,
         up: np.ndarray,
         to_eye: np.ndarray,
-        share: bool = True,
+        directly: bool = True,
     ) -> None:
-        """Gathers for groups at places with normals (N, 4), as `gather` has them, seen from directions (N, 3). `share`:
-        what is turned all ways in a cell shares a gather; by way of mirrors cells are too wide for it."""
+        """Gathers for groups at places with normals (N, 4), as `gather` has them, seen from directions (N, 3).
+        `directly`: not by way of mirrors, for which cells may be wider than rooms; only then does what is turned all
+        ways in a cell share a gather."""
         chosen = choose_receivers(groups, view, TILE, FEWEST_IN_TILE, True)
-        found = self._found(view, groups, to_eye, up, chosen, share)
+        found = self._found(view, groups, to_eye, up, chosen, directly)
         self._interpolate(view, lists, listed, chosen, found, place, up)
 
     def _found(
-        self, view: SampleView, groups: Groups, to_eye: np.ndarray, up: np.ndarray, chosen: Receivers, share: bool
+        self, view: SampleView, groups: Groups, to_eye: np.ndarray, up: np.ndarray, chosen: Receivers, directly: bool
     ) -> np.ndarray:
         """(R, 8): what receivers have gathered, or interpolated from others that are farther apart and see alike."""
         if self._slices is None:
             return self._estimated(groups, up, chosen)
-        sole = sole_groups(groups, view)
+        sole = sole_groups(groups, view) if directly else None
         known = Known(groups.position.astype(np.float32), groups.normal)
         rim = (up[:, 3] >= 0) & ((up[:, :3] * to_eye).sum(axis=1) < RIM) & (lobe_sharpness(up[:, 3]) > SHARPER)
-        scattered = scattered_cells(groups, chosen if share else chosen.none)
+        scattered = scattered_cells(groups, chosen if directly else chosen.none)
         for side in SIDES:
             fewest = side * side // FEWEST_SHARE
             wanted = chosen if side == TILE else choose_receivers(groups, view, side, fewest, False)
@@ -224,7 +224,7 @@ class GroupsInIndirectLight:
         wanted: Receivers,
         some: np.ndarray,
         view: SampleView,
-        sole: np.ndarray,
+        sole: np.ndarray | None,
         to_eye: np.ndarray,
         up: np.ndarray,
     ) -> np.ndarray:

@@ -12,8 +12,10 @@ import numpy as np
 
 from ....core.indirect.sites import FINE, Sites, cell_keys, cells, scrambled, sites
 from ....core.numeric.record import record
+from ...passes.indirect.interpolate import TILE
 from ...passes.uniforms import SampleView
 
+SIDES = 4 * TILE, 2 * TILE, TILE  # of squares of pixels that have receivers, one after the other
 MAIN = 0.3  # of all groups in a cell, that those of a receiver are where not every square has one: not among hairs
 TURNS = 2  # steps of normals along each axis, either way
 ALIKE = 0.95  # cosine between normals of a receiver and of what the picture shows where its cell's middle is
@@ -48,14 +50,34 @@ class Groups:
     pixel: np.ndarray  # (N,) int64, row by row
 
 
-def sites_of(groups: Groups, rows: np.ndarray, level: np.ndarray, view: SampleView, sole: np.ndarray) -> Sites:
+def sites_of(groups: Groups, rows: np.ndarray, level: np.ndarray, view: SampleView, sole: np.ndarray | None) -> Sites:
     """Returns the sites of groups `rows` (n,) in cells of 2^level, (n,): the middle of each cell, in the group's plane,
     where the picture shows that this surface is there; else a place next to the group. Both are raised a little.
 
-    `sole`: (H * W,), of sole_groups.
+    `sole`: (H * W,), of sole_groups; None: groups are seen by way of mirrors, in which cells may be wider than rooms.
+    They have places next to them, no farther away or higher than if they were seen directly.
     """
     position, normal = groups.position[rows], groups.normal[rows].astype(np.float64)
-    middle, near = sites(position, normal, level), sites(position, normal, level, FINE)
+    if sole is None:
+        away = np.linalg.norm(position - groups.eye, axis=1) if view.camera.perspective else np.ones(len(rows))
+        level = np.minimum(level, _levels(away, view, SIDES[0]))
+    near = sites(position, normal, level, FINE)
+    found = near if sole is None else _middles(groups, position, normal, level, view, sole, near)
+    return replace(found, position=found.position + (LIFT * np.exp2(level))[:, None] * found.normal)
+
+
+def _middles(
+    groups: Groups,
+    position: np.ndarray,
+    normal: np.ndarray,
+    level: np.ndarray,
+    view: SampleView,
+    sole: np.ndarray,
+    near: Sites,
+) -> Sites:
+    """Returns sites in the middles of cells, where the picture shows that the surface is there, and `near` elsewhere;
+    see sites_of."""
+    middle = sites(position, normal, level)
     at = middle.position - groups.eye
     x, y, z = view.world_from_view[:3, :3].T @ at.T
     fx, fy, cx, cy = view.camera.pixel_from_view()
@@ -68,8 +90,14 @@ def sites_of(groups: Groups, rows: np.ndarray, level: np.ndarray, view: SampleVi
     within &= other >= 0
     off = ((middle.position - groups.position[other]) * groups.normal[other]).sum(axis=1) / np.exp2(level)
     alike = (groups.normal[other] * normal).sum(axis=1) > ALIKE
-    found = middle.take(within & alike & (off > -SUNK) & (off < SAME_PLANE), near)
-    return replace(found, position=found.position + (LIFT * np.exp2(level))[:, None] * found.normal)
+    return middle.take(within & alike & (off > -SUNK) & (off < SAME_PLANE), near)
+
+
+def _levels(away: np.ndarray, view: SampleView, side: int) -> np.ndarray:
+    """(N,) float64: binary logarithms of the edges of cells that stand for squares of `side` pixels of surfaces so far
+    `away`, (N,)."""
+    with np.errstate(divide="ignore"):
+        return np.floor(np.log2(WIDEST * side / view.camera.pixel_from_view()[0] * away))
 
 
 def sole_groups(groups: Groups, view: SampleView) -> np.ndarray:
@@ -101,9 +129,8 @@ def choose_receivers(groups: Groups, view: SampleView, side: int, fewest: int, e
     x, y = pixel % width, pixel // width
     columns, rows = -(-width // side), -(-height // side)
     tile = (y // side) * columns + x // side
-    focal = view.camera.pixel_from_view()[0]
     away = groups.depth[there].astype(np.float64) if view.camera.perspective else np.ones(len(there))
-    level = np.floor(np.log2(WIDEST * side / focal * away))
+    level = _levels(away, view, side)
     cell, off = cells(position, level)
     turned = np.clip(np.floor((normal.T * 0.999 + 1) * TURNS), 0, 2 * TURNS - 1)
     turned = turned[0] + 2 * TURNS * (turned[1] + 2 * TURNS * turned[2])
