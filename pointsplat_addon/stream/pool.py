@@ -61,9 +61,13 @@ class _Kept:
 class _View:
     """What one kind of view needs."""
 
-    wishes: list[Wish] = field(default_factory=list)
+    asked: list[Wish] = field(default_factory=list)
+    spare: list[Wish] = field(default_factory=list)  # what it may need next
+    fitting: int = 0  # of what is asked for, that fit the budget together
+    wishes: list[Wish] = field(default_factory=list)  # that are read: these, and what fits of the spare ones
     keys: frozenset[PageKey] = frozenset()
     drawn: int = 0  # bytes that what is drawn of them takes beside the pages
+    looked: int = 0  # pages of the pool when it was found out what fits
 
 
 class PagePool:
@@ -83,6 +87,7 @@ class PagePool:
         self._of_element: dict[str, float] = {}  # bytes in memory, by look
         self._views: dict[str, _View] = {}
         self._number = 0  # of views
+        self._pages_read = 0  # rises with each page whose size is known
         self._reading: set[PageKey] = set()
         self._refreshing: set[PagedScan] = set()
         self._asked: list[PagedScan] = []
@@ -110,27 +115,19 @@ class PagePool:
         with self._change:
             self._at_once = max(self._threads // 2, 1) if moving else self._threads
             self._number += 1
-            room, fitting, drawn = self.budget, 0, 0
-            for wish in wishes:
-                beside = self._size_drawn(wish)
-                room -= self._size(wish) + beside
-                if room < 0:
-                    break
-                fitting, drawn = fitting + 1, drawn + beside
-            some = list(wishes[:fitting])
-            for wish in spare:
-                room -= self._size(wish)
-                if room < 0:
-                    break
-                some.append(wish._replace(gain=0.0))
-            self._views[view] = _View(some, frozenset(wish.key for wish in some), drawn)
-            for wish in some:
-                if (kept := self._kept.get(wish.key)) is not None:
-                    kept.needed = self._number
+            found = self._views[view] = _View(list(wishes), list(spare))
+            self._fit(found)
             self._trim(0)
             self._start()
             self._change.notify_all()
-            return fitting
+            return found.fitting
+
+    def fitting(self, view: str) -> int:
+        """Returns how many of the pages that a view asked for last fit the budget together. What pages take in memory
+        is guessed until they are there; it is known once the view is not busy."""
+        with self._change:
+            wanted = self._views.get(view)
+            return 0 if wanted is None else wanted.fitting
 
     def pages(self, scan: PagedScan, look: PageLook, wanted: Sequence[int]) -> dict[int, Page]:
         """Returns those of the wanted pages that are there."""
@@ -174,6 +171,28 @@ class PagePool:
             self._waited.clear()
             self._bytes = 0
             self.view_before = None
+
+    def _fit(self, view: _View) -> bool:
+        """Finds out what fits the budget of what a view asked for; returns whether that is other pages than before."""
+        room, drawn, some = self.budget, 0, []
+        for wish in view.asked:
+            beside = self._size_drawn(wish)
+            room -= self._size(wish) + beside
+            if room < 0:
+                break
+            some.append(wish)
+            drawn += beside
+        before, view.fitting, view.drawn, view.looked = view.keys, len(some), drawn, self._pages_read
+        for wish in view.spare:
+            room -= self._size(wish)
+            if room < 0:
+                break
+            some.append(wish._replace(gain=0.0))
+        view.wishes, view.keys = some, frozenset(wish.key for wish in some)
+        for wish in some:
+            if (kept := self._kept.get(wish.key)) is not None:
+                kept.needed = self._number
+        return view.keys != before
 
     # What threads do
 
@@ -238,6 +257,7 @@ class PagePool:
         if count:
             known = self._of_element.get(wish.look.key, 0.0)
             self._of_element[wish.look.key] = max(known, page.nbytes / count)
+        self._pages_read += 1
         self._trim(page.nbytes)
         if self._bytes + self._aside + page.nbytes > self._room:
             return
@@ -266,7 +286,22 @@ class PagePool:
         return wish.key not in self._kept and wish.page not in wish.scan.damaged
 
     def _next(self) -> Wish | None:
-        """The page that adds the most of those that are missing and for which there is room."""
+        """The page that adds the most of those that are missing and for which there is room. Pages may be larger or
+        smaller than was thought: once none is left, what fits is found out anew."""
+        for _ in range(2):
+            best = self._missing()
+            if best is not None:
+                size = self._size(best)
+                self._trim(size)
+                if self._bytes + self._aside + size <= self._room:
+                    return best
+            late = [view for view in self._views.values() if view.looked != self._pages_read]
+            if self._reading or not any([self._fit(view) for view in late]):
+                break
+        return None
+
+    def _missing(self) -> Wish | None:
+        """The page that adds the most of those that are missing."""
         best: Wish | None = None
         for view in self._views.values():
             for wish in view.wishes:
@@ -275,11 +310,7 @@ class PagePool:
                 if self._is_missing(wish) and wish.key not in self._reading:
                     best = wish
                     break
-        if best is None:
-            return None
-        size = self._size(best)
-        self._trim(size)
-        return best if self._bytes + self._aside + size <= self._room else None
+        return best
 
     def _trim(self, more: int) -> None:
         """Drops pages that no view needs, those first that were needed the longest ago, until so many more bytes

@@ -90,6 +90,22 @@ def test_a_budget_that_holds_less_than_a_view_wants_keeps_what_adds_most(tmp_pat
     assert pool.most_bytes <= pool.budget
 
 
+def test_what_fits_is_found_out_before_a_view_is_told_that_nothing_is_to_come(tmp_path: Path) -> None:
+    _, scan = opened(tmp_path)
+    order = list(range(30))
+    for budget in (30_000, 45_000, 60_000):
+        pool = PagePool(budget=budget, threads=2)
+        guessed = pool.want("viewport", wishes(scan, order))
+        until(lambda pool=pool: not pool.is_busy("viewport"))
+        fitting = pool.fitting("viewport")
+        assert guessed < fitting < 30  # pages are smaller than they are first taken to be
+        for _ in range(2):  # asked for anew, it is the same, and all of it is there
+            assert pool.want("viewport", wishes(scan, order)) == fitting
+            assert not pool.is_busy("viewport")
+        assert set(order[:fitting]) <= set(pool.pages(scan, LOOK, order))
+        assert pool.most_bytes <= budget
+
+
 def test_a_damaged_page_is_tried_once_and_told_once(tmp_path: Path) -> None:
     source, scan = opened(tmp_path)
     source.damaged = {3, 4}

@@ -34,7 +34,6 @@ PATIENCE = 60.0  # seconds without a page, after which a picture no longer waits
 FIRST = 0.3  # the same for a viewport that has never shown a scan, so that its first picture is not empty
 MEGABYTE = 1 << 20
 NARROW = 0.01  # radians: half the angle of suns that are points while a view moves; that of the sun is 0.0047
-ROUNDS = 4  # at most, in which a picture asks for what fits the budget
 
 
 @value_record
@@ -119,11 +118,8 @@ def with_pages(
         shown = [scan.streamed for scan in scans if scan.streamed.scan.tree is not None]
         _wait(pool, lambda: pool.is_busy(view) and not _begun(pool, shown), check, [], FIRST)
     if not interactive:
-        for _ in range(ROUNDS):  # how much memory pages take is known when the first are there
-            _wait(pool, lambda: pool.is_busy(view), check, warnings)
-            before_it, fitting = fitting, pool.want(view, wishes)
-            if fitting == before_it:
-                break
+        _wait(pool, lambda: pool.is_busy(view), check, warnings)
+        fitting = pool.fitting(view)
         if fitting < len(wishes):
             warnings.append(
                 f"The memory budget of {settings.memory_budget:,} MB holds {fitting:,} of {len(wishes):,} pages that"
