@@ -288,7 +288,7 @@ class PagePool:
     def _next(self) -> Wish | None:
         """The page that adds the most of those that are missing and for which there is room. Pages may be larger or
         smaller than was thought: once none is left, what fits is found out anew."""
-        for _ in range(2):
+        while True:
             best = self._missing()
             if best is not None:
                 size = self._size(best)
@@ -296,9 +296,8 @@ class PagePool:
                 if self._bytes + self._aside + size <= self._room:
                     return best
             late = [view for view in self._views.values() if view.looked != self._pages_read]
-            if self._reading or not any([self._fit(view) for view in late]):
-                break
-        return None
+            if self._reading or not any(self._fit(view) for view in late):
+                return None
 
     def _missing(self) -> Wish | None:
         """The page that adds the most of those that are missing."""

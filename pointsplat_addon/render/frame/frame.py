@@ -139,12 +139,11 @@ class Frame:
                 frame_plan.shadows,
                 frame_plan.captured_shadows,
                 frame_plan.matte_shadows,
+                run,
             )
         )
         self.clock.spent |= self.uploads.spent
-        for lighting in self.uploads.lightings:
-            if lighting.lacks_maps:
-                run("shadow maps", lighting.draw_maps)
+        self.uploads.draw_maps(run)
         if plan.backdrop:
             self.backdrop = self._own(Backdrop(device, backdrop_grid(frame_plan.view, device.limits.texture_size)))
         count = levels(frame_plan.prepared.largest, frame_plan.view.resolution)

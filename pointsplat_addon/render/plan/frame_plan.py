@@ -176,7 +176,14 @@ def make_frame_plan(
     samples, too. `picture`: Combined is drawn, not auxiliary passes alone. Raises Cancelled where the clock says so.
     """
     scene, streamed = with_pages(
-        scene, request.camera, request.settings, store, request.interactive, clock.check, moving=request.moving
+        scene,
+        request.camera,
+        request.settings,
+        store,
+        request.interactive,
+        clock.check,
+        moving=request.moving,
+        of=request.pages_of,
     )
     if streamed is not None and request.moving:
         # What casts changes with each picture, and maps are drawn anew.

@@ -6,6 +6,7 @@ asks for the rest.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -32,6 +33,7 @@ from .separation import with_repeated
 WAIT = 0.05  # seconds between two looks whether the picture is still wanted
 PATIENCE = 60.0  # seconds without a page, after which a picture no longer waits for the rest
 FIRST = 0.3  # the same for a viewport that has never shown a scan, so that its first picture is not empty
+ENOUGH = 64  # pages that such a picture waits for, no longer than that: it compiles shaders, and is looked at meanwhile
 MEGABYTE = 1 << 20
 NARROW = 0.01  # radians: half the angle of suns that are points while a view moves; that of the sun is 0.0047
 
@@ -80,13 +82,15 @@ def with_pages(
     check: Callable[[], None],
     pool: PagePool = POOL,
     moving: bool = False,
+    of: Camera | None = None,
 ) -> tuple[Scene, Streamed | None]:
     """Returns the scene with clouds in the place of scans that are read by pages, and what was read; None: there are no
     such scans.
 
     `check` is called while pages are read, and may raise to stop. `moving`: the view is drawn finely once nothing
-    moves: until then what is out of view casts no shadows, and suns that are nearly points are points.
+    moves: until then what is out of view casts no shadows, and suns that are nearly points are points. `of`: whose picture needs the pages; None: the camera's.
     """
+    asking = camera if of is None else of
     scans = _scans(scene, camera)
     if not scans:
         return scene, None
@@ -106,17 +110,20 @@ def with_pages(
         _wait(pool, opening, check, [], FIRST)
     if moving:
         scene = replace(scene, lights=tuple(map(_hurried, scene.lights)))
-        needs = [_need(scan, camera, settings.tolerance) for scan in scans]
+        needs = [_need(scan, asking, settings.tolerance) for scan in scans]
     else:
-        needs = _needs(scans, scene, camera, settings)
+        needs = _needs(scans, scene, asking, settings)
     view = VIEWPORT if interactive else PICTURE
     of_each = [_wishes(scan, need) for scan, need in zip(scans, needs, strict=True)]
     wishes = sorted((wish for some in of_each for wish in some), key=lambda wish: -wish.gain)
-    spare = _coming(scans, camera, settings.tolerance, pool, wishes) if interactive else []
+    spare = _coming(scans, asking, settings.tolerance, pool, wishes) if interactive else []
     fitting = pool.want(view, wishes, spare, moving)
     if new:
         shown = [scan.streamed for scan in scans if scan.streamed.scan.tree is not None]
         _wait(pool, lambda: pool.is_busy(view) and not _begun(pool, shown), check, [], FIRST)
+        until = time.monotonic() + FIRST
+        some = wishes[: min(ENOUGH, fitting)]
+        _wait(pool, lambda: pool.is_busy(view) and time.monotonic() < until and not _are_there(pool, some), check, [])
     if not interactive:
         _wait(pool, lambda: pool.is_busy(view), check, warnings)
         fitting = pool.fitting(view)
@@ -167,6 +174,11 @@ def _scans(scene: Scene, camera: Camera) -> list[_Scan]:
 def _begun(pool: PagePool, scans: list[StreamedScan]) -> bool:
     """Whether the first pages of scans are there."""
     return all(pool.pages(one.scan, one.look, [0]) for one in scans)
+
+
+def _are_there(pool: PagePool, wishes: list[Wish]) -> bool:
+    """Whether pages are there, or cannot be read."""
+    return all(wish.page in wish.scan.damaged or pool.pages(wish.scan, wish.look, [wish.page]) for wish in wishes)
 
 
 def _files(scans: list[_Scan]) -> list:
