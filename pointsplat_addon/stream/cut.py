@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -43,6 +44,7 @@ class CutSplats:
     points: PointCloud | None
     nodes: PointCloud | None
     shape: np.ndarray | None
+    whole: Mapping[int, slice] = field(default_factory=dict)  # rows of pages of which all splats are drawn
 
     @property
     def nbytes(self) -> int:
@@ -58,6 +60,8 @@ def splats_of_cut(tree: PageTree, cut: PageCut, there: dict[int, Page], size: Po
     points: list[PointCloud] = []
     nodes: list[PointCloud] = []
     shapes: list[np.ndarray] = []
+    whole: dict[int, slice] = {}
+    ends = [0, 0]  # of points and of nodes
     for number in cut.pages:
         page = there[number]
         cloud, shape = page.cloud, page.shape
@@ -72,6 +76,10 @@ def splats_of_cut(tree: PageTree, cut: PageCut, there: dict[int, Page], size: Po
                 rows = np.flatnonzero(np.repeat(mine, count))
                 cloud, shape = cloud.take(rows), None if shape is None else shape[rows]
                 stands, count = stands[mine], count[mine]
+        begin = ends[shape is not None]
+        ends[shape is not None] = end = begin + len(cloud)
+        if cloud is page.cloud:
+            whole[number] = slice(begin, end)
         if shape is None:
             points.append(_sized(cloud, stands, count, there, size) if cloud.radii is None else cloud)
         else:
@@ -81,7 +89,23 @@ def splats_of_cut(tree: PageTree, cut: PageCut, there: dict[int, Page], size: Po
         joined(points) if points else None,
         joined(nodes) if nodes else None,
         np.concatenate(shapes) if shapes else None,
+        whole,
     )
+
+
+def parts_of(splats: CutSplats, pages: dict[int, Page]) -> dict[int, Page]:
+    """Returns those pages of which all splats are drawn with their part of what is joined in place of their own
+    arrays."""
+    found = {}
+    for number, rows in splats.whole.items():
+        page = pages[number]
+        joint = splats.points if page.shape is None else splats.nodes
+        if page.cloud is None or joint is None:
+            continue
+        arrays = {name: getattr(joint, name)[rows] for name in page.cloud.arrays()}
+        shape = None if splats.shape is None or page.shape is None else splats.shape[rows]
+        found[number] = replace(page, cloud=replace(page.cloud, **arrays), shape=shape)
+    return found
 
 
 def _sized(

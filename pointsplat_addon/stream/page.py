@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..core.numeric.record import record
@@ -11,6 +13,8 @@ from ..core.scene.valid.geometry import valid_points
 from ..core.surface.nearest import median_spacing
 from ..formats.points.reader import Columns
 from .tree import PageTree
+
+TEXEL, HALF_TEXEL = 16, 8  # bytes of four channels, and of four half floats or two floats
 
 
 @record
@@ -27,6 +31,28 @@ class Page:
     def nbytes(self) -> int:
         own = (self.cloud, self.shape, self.deepest, self.count)
         return sum(part.nbytes for part in own if part is not None)
+
+    @property
+    def drawn_nbytes(self) -> int:
+        """Bytes that its splats take where they are drawn: joined with others, and on the device (see
+        render/passes/pages/point_page.py)."""
+        cloud, nodes = self.cloud, self.shape is not None
+        if cloud is None:
+            return 0
+        balls = not nodes and cloud.normal is None and cloud.share is None and cloud.material is None
+        balls &= cloud.radii is None or cloud.radii.shape[1] == 1
+        on_device = TEXEL * (1 + (not balls) + nodes)  # position, extent, moments
+        on_device += HALF_TEXEL * sum(part is not None for part in (cloud.color, cloud.surface, cloud.emission))
+        radii = cloud.position.itemsize if cloud.radii is None else 0
+        joined = cloud.nbytes + (0 if self.shape is None else self.shape.nbytes)
+        return joined + len(cloud) * (radii + on_device)
+
+    def copied(self) -> Page:
+        """The page with splats of its own, where they are part of what was joined."""
+        cloud, shape = self.cloud, self.shape
+        if cloud is not None:
+            cloud = replace(cloud, **{name: array.copy() for name, array in cloud.arrays().items()})
+        return replace(self, cloud=cloud, shape=None if shape is None else shape.copy())
 
 
 def make_page(tree: PageTree, page: int, elements: Columns, look: PageLook) -> Page:

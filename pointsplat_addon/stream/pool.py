@@ -12,7 +12,7 @@ import os
 import threading
 import time
 import weakref
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -23,9 +23,8 @@ from .page import Page
 from .scan import PagedScan
 
 BUDGET = 2000 << 20  # bytes, until settings say
-FIRST_GUESS = 60  # bytes of an element in memory, until a page of the look was read
-# Bytes that an element takes beside its page where it is drawn: joined with the others 53, on the device 71.
-DRAWN = 124
+# Bytes of an element in memory, and beside its page where it is drawn, until a page of the look was read: of nodes.
+FIRST_GUESS, FIRST_DRAWN = 60, 111
 NEW = 0.77  # of a page's elements, beyond those of its parent that it stands in for
 LOOK_AGAIN = 2.0  # seconds after which a file is asked again whether it is still the same
 MOST_THREADS = 4
@@ -50,11 +49,20 @@ class Wish(NamedTuple):
     key: PageKey
 
 
+class Joint(NamedTuple):
+    """What was joined of pages for a picture."""
+
+    name: str  # content key of the geometry that it shows
+    splats: object
+
+
 @dataclass(eq=False)
 class _Kept:
     page: Page
     nbytes: int
+    drawn: int  # bytes that it takes beside that where all of it is drawn
     needed: int  # number of the last view that needed it
+    part: Joint | None = None  # of which its arrays are a part
 
 
 @dataclass(eq=False)
@@ -84,7 +92,7 @@ class PagePool:
         self._waited: weakref.WeakSet[PagedScan] = weakref.WeakSet()
         self._kept: dict[PageKey, _Kept] = {}
         self._bytes = self._aside = 0
-        self._of_element: dict[str, float] = {}  # bytes in memory, by look
+        self._of_element: dict[str, tuple[float, float]] = {}  # bytes in memory, and where it is drawn, by look
         self._views: dict[str, _View] = {}
         self._number = 0  # of views
         self._pages_read = 0  # rises with each page whose size is known
@@ -94,6 +102,7 @@ class PagePool:
         self._looked: dict[PagedScan, float] = {}
         self._change = threading.Condition()
         self._started: list[threading.Thread] = []
+        self._joints: dict[str, Joint] = {}  # of which pages are parts, by the content key of what they show
 
     # What views ask
 
@@ -136,6 +145,31 @@ class PagePool:
             found = {page: self._kept.get(PageKey(number, key, page)) for page in wanted}
         return {page: kept.page for page, kept in found.items() if kept is not None}
 
+    def is_shared(self, name: str, splats: object) -> bool:
+        """Whether pages are parts of these splats, which show a geometry of this content key."""
+        with self._change:
+            known = self._joints.get(name)
+            return known is not None and known.splats is splats
+
+    def share(self, scan: PagedScan, look: PageLook, name: str, splats: object, parts: Mapping[int, Page]) -> None:
+        """Has pages be parts of splats that were joined of them, so that both are in memory once. Pages that are parts
+        of what was joined before for the same geometry, `name`, get arrays of their own, so that it can go."""
+        joint = Joint(name, splats)
+        with self._change:
+            found = {page: self._kept.get(PageKey(scan.number, look.key, page)) for page in parts}
+            for page, kept in found.items():
+                if kept is not None:
+                    kept.page, kept.part = parts[page], joint
+            self._part(self._joints.pop(name, None))
+            if any(kept is not None for kept in found.values()):
+                self._joints[name] = joint
+
+    def _part(self, joint: Joint | None) -> None:
+        """Gives pages that are still parts of what was joined arrays of their own."""
+        for kept in self._kept.values() if joint is not None else ():
+            if kept.part is joint:
+                kept.page, kept.part = kept.page.copied(), None
+
     def wait(self, seconds: float, seen: int) -> None:
         """Waits until `arrivals` is no longer `seen`, at most so long."""
         with self._change:
@@ -165,6 +199,7 @@ class PagePool:
         """Drops all pages and forgets what was asked for."""
         with self._change:
             self._kept.clear()
+            self._joints.clear()
             self._views.clear()
             self._asked.clear()
             self._looked.clear()
@@ -253,15 +288,16 @@ class PagePool:
                 self._change.notify_all()
 
     def _keep(self, wish: Wish, key: PageKey, page: Page) -> None:
-        count = int(wish.scan.source.directory.count[wish.page]) if wish.scan.source is not None else 0
+        count = self._count(wish)
         if count:
-            known = self._of_element.get(wish.look.key, 0.0)
-            self._of_element[wish.look.key] = max(known, page.nbytes / count)
+            known = self._of_element.get(wish.look.key, (0.0, 0.0))
+            sizes = page.nbytes / count, page.drawn_nbytes / count
+            self._of_element[wish.look.key] = max(known[0], sizes[0]), max(known[1], sizes[1])
         self._pages_read += 1
         self._trim(page.nbytes)
         if self._bytes + self._aside + page.nbytes > self._room:
             return
-        self._kept[key] = _Kept(page, page.nbytes, self._number)
+        self._kept[key] = _Kept(page, page.nbytes, page.drawn_nbytes, self._number)
         self._bytes += page.nbytes
         self.most_bytes = max(self.most_bytes, self._bytes + self._aside)
 
@@ -270,17 +306,19 @@ class PagePool:
         kept = self._kept.get(wish.key)
         if kept is not None:
             return kept.nbytes
-        source = wish.scan.source
-        count = 0 if source is None else int(source.directory.count[wish.page])
-        return int(count * self._of_element.get(wish.look.key, FIRST_GUESS))
+        return int(self._count(wish) * self._of_element.get(wish.look.key, (FIRST_GUESS, FIRST_DRAWN))[0])
 
     def _size_drawn(self, wish: Wish) -> int:
-        """Bytes that what is drawn of a page takes beside it."""
+        """Bytes that what is drawn of a page takes beside it, as far as is known."""
+        kept, source = self._kept.get(wish.key), wish.scan.source
+        new = 1.0 if source is None or source.directory.additive else NEW
+        if kept is not None:
+            return int(new * kept.drawn)
+        return int(new * self._count(wish) * self._of_element.get(wish.look.key, (FIRST_GUESS, FIRST_DRAWN))[1])
+
+    def _count(self, wish: Wish) -> int:
         source = wish.scan.source
-        if source is None:
-            return 0
-        new = 1.0 if source.directory.additive else NEW
-        return int(DRAWN * new * int(source.directory.count[wish.page]))
+        return 0 if source is None else int(source.directory.count[wish.page])
 
     def _is_missing(self, wish: Wish) -> bool:
         return wish.key not in self._kept and wish.page not in wish.scan.damaged
@@ -319,9 +357,20 @@ class PagePool:
         needed = frozenset().union(*(view.keys for view in self._views.values()))
         loose = sorted((kept.needed, key) for key, kept in self._kept.items() if key not in needed)
         for _, key in loose:
-            self._bytes -= self._kept.pop(key).nbytes
+            if key not in self._kept:
+                continue
+            joint = self._kept[key].part
+            self._drop(key)
+            if joint is not None:  # its memory is given back once no page is a part of it
+                for other in [k for k, kept in self._kept.items() if kept.part is joint and k not in needed]:
+                    self._drop(other)
+                self._part(joint)
+                self._joints = {name: known for name, known in self._joints.items() if known is not joint}
             if self._bytes + self._aside + more <= self._room:
                 return
+
+    def _drop(self, key: PageKey) -> None:
+        self._bytes -= self._kept.pop(key).nbytes
 
     @property
     def _room(self) -> int:

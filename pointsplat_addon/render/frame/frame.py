@@ -83,7 +83,15 @@ class Frame:
         # Planning can be cancelled: nothing of this frame is on the device yet.
         scene, self._hidden_known = without_unseen(renderer, scene, request, self.clock, presented, picture)
         self.frame_plan = make_frame_plan(
-            scene, request, renderer.store, self.device.limits, renderer.costs, self.clock, presented, picture
+            scene,
+            request,
+            renderer.store,
+            self.device.limits,
+            renderer.costs,
+            self.clock,
+            presented,
+            picture,
+            renderer.kept.forget_streamed,
         )
         self.view = self.frame_plan.view  # of the sample that is drawn
         # Samples before it are not drawn.

@@ -7,7 +7,7 @@ asks for the rest.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +21,7 @@ from ...core.scene.scene import Geometry, Scene, StreamedScan
 from ...core.scene.settings import Settings
 from ...core.splat.pixel_radii import with_pixel_radii
 from ...stream.casting import Casters, receivers_of
-from ...stream.cut import CutSplats, PageCut, cut_pages, splats_of_cut
+from ...stream.cut import CutSplats, PageCut, cut_pages, parts_of, splats_of_cut
 from ...stream.need import Need, needed_pages
 from ...stream.page import Page
 from ...stream.pool import PICTURE, POOL, VIEWPORT, PagePool, Wish, wishes_of
@@ -83,12 +83,15 @@ def with_pages(
     pool: PagePool = POOL,
     moving: bool = False,
     of: Camera | None = None,
+    forget: Callable[[Set[str]], None] = lambda drawn: None,
 ) -> tuple[Scene, Streamed | None]:
     """Returns the scene with clouds in the place of scans that are read by pages, and what was read; None: there are no
     such scans.
 
     `check` is called while pages are read, and may raise to stop. `moving`: the view is drawn finely once nothing
-    moves: until then what is out of view casts no shadows, and suns that are nearly points are points. `of`: whose picture needs the pages; None: the camera's.
+    moves: until then what is out of view casts no shadows, and suns that are nearly points are points. `of`: whose
+    picture needs the pages; None: the camera's. `forget`: is called with the content keys of what is drawn of scans,
+    before it is made.
     """
     asking = camera if of is None else of
     scans = _scans(scene, camera)
@@ -143,9 +146,11 @@ def with_pages(
         _shown(scan, [wish.page for wish in some if wish.key in fits], pool)
         for scan, some in zip(scans, of_each, strict=True)
     ]
-    store.forget_streamed(view, {name for one in cuts for name in (one.name, one.of_nodes)})
+    names = {name for one in cuts for name in (one.name, one.of_nodes)}
+    store.forget_streamed(view, names)
+    forget(names)
     for scan, one in zip(scans, cuts, strict=True):
-        first, *more = _joined(scan, one, store)
+        first, *more = _joined(scan, one, store, None if moving or waiting else pool)
         geometries[scan.row] = first
         drawn += 0 if one.cut is None else len(one.cut)
         rows = np.flatnonzero(scene.instances.geometry == scan.row)
@@ -290,8 +295,9 @@ def _shown(scan: _Scan, wanted: list[int], pool: PagePool) -> _Shown:
     return _Shown(f"{name} {streamed.scan.number} {cut.digest}", there, cut)
 
 
-def _joined(scan: _Scan, shown: _Shown, store: Store) -> list[Geometry]:
-    """What a view draws of a scan, points and nodes, each a geometry."""
+def _joined(scan: _Scan, shown: _Shown, store: Store, pool: PagePool | None) -> list[Geometry]:
+    """What a view draws of a scan, points and nodes, each a geometry. `pool`: where pages become parts of it; None:
+    another view is drawn soon."""
     streamed, geometry, cut = scan.streamed, scan.geometry, shown.cut
     tree: PageTree | None = streamed.scan.tree
     if tree is None or cut is None:
@@ -302,6 +308,8 @@ def _joined(scan: _Scan, shown: _Shown, store: Store) -> list[Geometry]:
         return splats if streamed.box_from_object is None else clipped(splats, streamed)
 
     splats: CutSplats = store.lookup(Key(Kind.STREAMED, shown.name), make)
+    if pool is not None and not pool.is_shared(geometry.key, splats):
+        pool.share(streamed.scan, streamed.look, geometry.key, splats, parts_of(splats, shown.pages))
     found = []
     if splats.points is not None or splats.nodes is None:
         found.append(replace(geometry, key=shown.name, cloud=splats.points))
