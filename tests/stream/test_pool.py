@@ -10,17 +10,10 @@ import pytest
 from pointsplat_addon.formats.points.reader import PointFileError
 from pointsplat_addon.stream.pool import PagePool, wishes_of
 from pointsplat_addon.stream.scan import PagedScan
-from tests.support.octrees import MemoryPages, PlainLook, scan_in_memory
+from tests.support.octrees import MemoryPages, PlainLook, scan_in_memory, until
 
 PATIENCE = 20.0
 LOOK = PlainLook()
-
-
-def until(true) -> None:
-    end = time.monotonic() + PATIENCE
-    while not true():
-        assert time.monotonic() < end
-        time.sleep(0.002)
 
 
 def opened(path: Path, count: int = 3000, most: int = 50) -> tuple[MemoryPages, PagedScan]:
