@@ -225,7 +225,8 @@ class Viewport:
 
     def _is_behind(self, now: float) -> bool:
         """Whether pages have come that the frame lacks, or were to come when it was begun. While more are to come, as
-        much time goes to them as to drawing what is there, and pictures are those of ever more pages."""
+        much time goes to them as to drawing what is there, and pictures are those of ever more pages. None is drawn
+        where all will have come before it is done."""
         streamed = None if self._frame is None else self._frame.frame_plan.streamed
         if streamed is None or not (self._hasty or streamed.waiting):
             return False
@@ -233,7 +234,9 @@ class Viewport:
             return self._hasty or streamed.arrivals != POOL.arrivals
         arrived, since = POOL.arrivals - streamed.arrivals, now - self._made_at
         more = arrived > MORE_PAGES * streamed.drawn or (arrived > 0 and since > LONGEST_PAUSE)
-        return more and since > 2 * self._made_in + LEAST_PAUSE
+        if not (more and since > 2 * self._made_in + LEAST_PAUSE):
+            return False
+        return POOL.missing(VIEWPORT) * since > self._made_in * arrived  # or all are there before it is drawn
 
     def _drop(self) -> None:
         """Release the frame, so that the next drawing starts another."""

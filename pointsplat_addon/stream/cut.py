@@ -8,6 +8,7 @@ from dataclasses import field, replace
 
 import numpy as np
 
+from ..core.numeric.blocks import concatenated
 from ..core.numeric.record import record
 from ..core.scene.cloud import ATTRIBUTES, PointCloud
 from ..core.scene.scene import PointSize
@@ -88,7 +89,7 @@ def splats_of_cut(tree: PageTree, cut: PageCut, there: dict[int, Page], size: Po
     return CutSplats(
         joined(points) if points else None,
         joined(nodes) if nodes else None,
-        np.concatenate(shapes) if shapes else None,
+        concatenated(shapes) if shapes else None,
         whole,
     )
 
@@ -126,7 +127,7 @@ def joined(clouds: list[PointCloud]) -> PointCloud:
         given = [getattr(cloud, name) for cloud in clouds]
         some = next((array for array in given if array is not None), None)
         if some is not None:
-            found[name] = np.concatenate([
+            found[name] = concatenated([
                 np.zeros((len(cloud), *some.shape[1:]), some.dtype) if array is None else array
                 for array, cloud in zip(given, clouds, strict=True)
             ])  # fmt: skip

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..core.numeric.blocks import copied_block
 from ..core.numeric.record import record
 from ..core.scene.cloud import PointCloud
 from ..core.scene.scene import PageLook
@@ -15,6 +16,7 @@ from ..formats.points.reader import Columns
 from .tree import PageTree
 
 TEXEL, HALF_TEXEL = 16, 8  # bytes of four channels, and of four half floats or two floats
+SHAPE = "shape"  # among the attributes of a cloud
 
 
 @record
@@ -48,11 +50,13 @@ class Page:
         return joined + len(cloud) * (radii + on_device)
 
     def copied(self) -> Page:
-        """The page with splats of its own, where they are part of what was joined."""
+        """The page with splats in memory of its own, which is given back with it."""
         cloud, shape = self.cloud, self.shape
-        if cloud is not None:
-            cloud = replace(cloud, **{name: array.copy() for name, array in cloud.arrays().items()})
-        return replace(self, cloud=cloud, shape=None if shape is None else shape.copy())
+        if cloud is None:
+            return self
+        arrays = copied_block(cloud.arrays() if shape is None else {**cloud.arrays(), SHAPE: shape})
+        shape = arrays.pop(SHAPE, None)
+        return replace(self, cloud=replace(cloud, **arrays), shape=shape)
 
 
 def make_page(tree: PageTree, page: int, elements: Columns, look: PageLook) -> Page:
@@ -72,7 +76,7 @@ def make_page(tree: PageTree, page: int, elements: Columns, look: PageLook) -> P
         shape = None if shape is None else shape[order]
     first = np.flatnonzero(np.r_[True, deepest[1:] != deepest[:-1]])
     count = np.diff(np.r_[first, len(deepest)])
-    return Page(cloud, shape, deepest[first], count, _spacing(tree, page, elements["position"]))
+    return Page(cloud, shape, deepest[first], count, _spacing(tree, page, elements["position"])).copied()
 
 
 def _spacing(tree: PageTree, page: int, position: np.ndarray) -> float:

@@ -190,6 +190,12 @@ class PagePool:
             wanted = self._views.get(view)
             return wanted is not None and (not wanted.keys.isdisjoint(self._reading) or self._next() is not None)
 
+    def missing(self, view: str) -> int:
+        """Returns how many of the pages that a view asked for, and that fit the budget, are still to come."""
+        with self._change:
+            wanted = self._views.get(view)
+            return 0 if wanted is None else sum(map(self._is_missing, wanted.asked[: wanted.fitting]))
+
     @property
     def nbytes(self) -> int:
         """Bytes of all pages that are kept."""

@@ -56,7 +56,8 @@ class Drawn:
         assert self.scan.tree is not None
         for number, page in self.pool.pages(self.scan, LOOK, pages).items():
             anew = make_page(self.scan.tree, number, self.source.read(number), LOOK)
-            assert page.cloud is not None and anew.cloud is not None
+            assert page.cloud is not None
+            assert anew.cloud is not None
             assert page.cloud.arrays().keys() == anew.cloud.arrays().keys()
             for name, array in page.cloud.arrays().items():
                 np.testing.assert_array_equal(array, getattr(anew.cloud, name))
