@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, replace
 
 import numpy as np
@@ -14,6 +14,8 @@ from ..core.scene.cloud import ATTRIBUTES, PointCloud
 from ..core.scene.scene import PointSize
 from .page import Page
 from .tree import PageTree
+
+Join = Callable[[Sequence[np.ndarray]], np.ndarray]
 
 
 @record
@@ -52,12 +54,16 @@ class CutSplats:
         return sum(part.nbytes for part in (self.points, self.nodes, self.shape) if part is not None)
 
 
-def splats_of_cut(tree: PageTree, cut: PageCut, there: dict[int, Page], size: PointSize) -> CutSplats:
+def splats_of_cut(
+    tree: PageTree, cut: PageCut, there: dict[int, Page], size: PointSize, lasting: bool = False
+) -> CutSplats:
     """Returns the splats of a cut.
 
     Of additive scans all points of its pages are drawn, as wide as the points around them are apart. Of others pages
-    stand in for the finer ones that are missing.
+    stand in for the finer ones that are missing. `lasting`: they lie in memory that goes back to the system, which
+    takes longer.
     """
+    join: Join = concatenated if lasting else np.concatenate
     points: list[PointCloud] = []
     nodes: list[PointCloud] = []
     shapes: list[np.ndarray] = []
@@ -87,9 +93,9 @@ def splats_of_cut(tree: PageTree, cut: PageCut, there: dict[int, Page], size: Po
             nodes.append(cloud)
             shapes.append(shape)
     return CutSplats(
-        joined(points) if points else None,
-        joined(nodes) if nodes else None,
-        concatenated(shapes) if shapes else None,
+        joined(points, join) if points else None,
+        joined(nodes, join) if nodes else None,
+        join(shapes) if shapes else None,
         whole,
     )
 
@@ -118,7 +124,7 @@ def _sized(
     return replace(cloud, radii=np.repeat(size.of(spacing)[of_run].astype(np.float32), count)[:, None])
 
 
-def joined(clouds: list[PointCloud]) -> PointCloud:
+def joined(clouds: list[PointCloud], join: Join = np.concatenate) -> PointCloud:
     """Returns clouds of one origin as one. Of attributes that some of them lack they have zeros."""
     if len(clouds) == 1:
         return clouds[0]
@@ -127,7 +133,7 @@ def joined(clouds: list[PointCloud]) -> PointCloud:
         given = [getattr(cloud, name) for cloud in clouds]
         some = next((array for array in given if array is not None), None)
         if some is not None:
-            found[name] = concatenated([
+            found[name] = join([
                 np.zeros((len(cloud), *some.shape[1:]), some.dtype) if array is None else array
                 for array, cloud in zip(given, clouds, strict=True)
             ])  # fmt: skip

@@ -35,19 +35,24 @@ class Page:
         return sum(part.nbytes for part in own if part is not None)
 
     @property
-    def drawn_nbytes(self) -> int:
-        """Bytes that its splats take where they are drawn: joined with others, and on the device (see
-        render/passes/pages/point_page.py)."""
+    def joined_nbytes(self) -> int:
+        """Bytes that its splats take among those that are joined for a picture: points have radii there."""
+        if self.cloud is None:
+            return 0
+        radii = self.cloud.position.itemsize * len(self.cloud) if self.cloud.radii is None else 0
+        return self.cloud.nbytes + radii + (0 if self.shape is None else self.shape.nbytes)
+
+    @property
+    def device_nbytes(self) -> int:
+        """Bytes that its splats take on the device, see render/passes/pages/point_page.py."""
         cloud, nodes = self.cloud, self.shape is not None
         if cloud is None:
             return 0
         balls = not nodes and cloud.normal is None and cloud.share is None and cloud.material is None
         balls &= cloud.radii is None or cloud.radii.shape[1] == 1
-        on_device = TEXEL * (1 + (not balls) + nodes)  # position, extent, moments
-        on_device += HALF_TEXEL * sum(part is not None for part in (cloud.color, cloud.surface, cloud.emission))
-        radii = cloud.position.itemsize if cloud.radii is None else 0
-        joined = cloud.nbytes + (0 if self.shape is None else self.shape.nbytes)
-        return joined + len(cloud) * (radii + on_device)
+        texels = 1 + (not balls) + nodes  # position, extent, moments
+        halves = sum(part is not None for part in (cloud.color, cloud.surface, cloud.emission))
+        return len(cloud) * (TEXEL * texels + HALF_TEXEL * halves)
 
     def copied(self) -> Page:
         """The page with splats in memory of its own, which is given back with it."""

@@ -23,8 +23,9 @@ from .page import Page
 from .scan import PagedScan
 
 BUDGET = 2000 << 20  # bytes, until settings say
-# Bytes of an element in memory, and beside its page where it is drawn, until a page of the look was read: of nodes.
-FIRST_GUESS, FIRST_DRAWN = 60, 111
+# Bytes of an element in memory, joined with others for a picture, and on the device, until a page of the look was read:
+# those of nodes.
+FIRST_GUESS = (60.0, 60.0, 56.0)
 NEW = 0.77  # of a page's elements, beyond those of its parent that it stands in for
 LOOK_AGAIN = 2.0  # seconds after which a file is asked again whether it is still the same
 MOST_THREADS = 4
@@ -59,8 +60,7 @@ class Joint(NamedTuple):
 @dataclass(eq=False)
 class _Kept:
     page: Page
-    nbytes: int
-    drawn: int  # bytes that it takes beside that where all of it is drawn
+    sizes: tuple[int, int, int]  # bytes of it, and what all of it takes joined with others, and on the device
     needed: int  # number of the last view that needed it
     part: Joint | None = None  # of which its arrays are a part
 
@@ -71,6 +71,7 @@ class _View:
 
     asked: list[Wish] = field(default_factory=list)
     spare: list[Wish] = field(default_factory=list)  # what it may need next
+    moving: bool = False
     fitting: int = 0  # of what is asked for, that fit the budget together
     wishes: list[Wish] = field(default_factory=list)  # that are read: these, and what fits of the spare ones
     keys: frozenset[PageKey] = frozenset()
@@ -92,7 +93,7 @@ class PagePool:
         self._waited: weakref.WeakSet[PagedScan] = weakref.WeakSet()
         self._kept: dict[PageKey, _Kept] = {}
         self._bytes = self._aside = 0
-        self._of_element: dict[str, tuple[float, float]] = {}  # bytes in memory, and where it is drawn, by look
+        self._of_element: dict[str, tuple[float, float, float]] = {}  # at most, by look, as FIRST_GUESS
         self._views: dict[str, _View] = {}
         self._number = 0  # of views
         self._pages_read = 0  # rises with each page whose size is known
@@ -124,7 +125,7 @@ class PagePool:
         with self._change:
             self._at_once = max(self._threads // 2, 1) if moving else self._threads
             self._number += 1
-            found = self._views[view] = _View(list(wishes), list(spare))
+            found = self._views[view] = _View(list(wishes), list(spare), moving)
             self._fit(found)
             self._trim(0)
             self._start()
@@ -217,7 +218,7 @@ class PagePool:
         """Finds out what fits the budget of what a view asked for; returns whether that is other pages than before."""
         room, drawn, some = self.budget, 0, []
         for wish in view.asked:
-            beside = self._size_drawn(wish)
+            beside = self._size_drawn(wish, view.moving)
             room -= self._size(wish) + beside
             if room < 0:
                 break
@@ -294,33 +295,37 @@ class PagePool:
                 self._change.notify_all()
 
     def _keep(self, wish: Wish, key: PageKey, page: Page) -> None:
-        count = self._count(wish)
+        count, sizes = self._count(wish), (page.nbytes, page.joined_nbytes, page.device_nbytes)
         if count:
-            known = self._of_element.get(wish.look.key, (0.0, 0.0))
-            sizes = page.nbytes / count, page.drawn_nbytes / count
-            self._of_element[wish.look.key] = max(known[0], sizes[0]), max(known[1], sizes[1])
+            known = self._of_element.get(wish.look.key, (0.0, 0.0, 0.0))
+            most = [max(before, size / count) for before, size in zip(known, sizes, strict=True)]
+            self._of_element[wish.look.key] = most[0], most[1], most[2]
         self._pages_read += 1
         self._trim(page.nbytes)
         if self._bytes + self._aside + page.nbytes > self._room:
             return
-        self._kept[key] = _Kept(page, page.nbytes, page.drawn_nbytes, self._number)
+        self._kept[key] = _Kept(page, sizes, self._number)
         self._bytes += page.nbytes
         self.most_bytes = max(self.most_bytes, self._bytes + self._aside)
 
-    def _size(self, wish: Wish) -> int:
-        """Bytes that a page takes in memory, as far as is known."""
+    def _sizes(self, wish: Wish) -> Sequence[float]:
+        """Bytes that a page takes in memory, joined with others, and on the device, as far as is known."""
         kept = self._kept.get(wish.key)
         if kept is not None:
-            return kept.nbytes
-        return int(self._count(wish) * self._of_element.get(wish.look.key, (FIRST_GUESS, FIRST_DRAWN))[0])
+            return kept.sizes
+        count = self._count(wish)
+        return [count * size for size in self._of_element.get(wish.look.key, FIRST_GUESS)]
 
-    def _size_drawn(self, wish: Wish) -> int:
-        """Bytes that what is drawn of a page takes beside it, as far as is known."""
-        kept, source = self._kept.get(wish.key), wish.scan.source
+    def _size(self, wish: Wish) -> int:
+        return int(self._sizes(wish)[0])
+
+    def _size_drawn(self, wish: Wish, moving: bool) -> int:
+        """Bytes that what is drawn of a page takes beside it. When it was joined it is a part of that, and not before
+        it is on the device, unless the view moves."""
+        source = wish.scan.source
         new = 1.0 if source is None or source.directory.additive else NEW
-        if kept is not None:
-            return int(new * kept.drawn)
-        return int(new * self._count(wish) * self._of_element.get(wish.look.key, (FIRST_GUESS, FIRST_DRAWN))[1])
+        _, joined, on_device = self._sizes(wish)
+        return int(new * (joined + on_device if moving else max(joined, on_device)))
 
     def _count(self, wish: Wish) -> int:
         source = wish.scan.source
@@ -376,7 +381,7 @@ class PagePool:
                 return
 
     def _drop(self, key: PageKey) -> None:
-        self._bytes -= self._kept.pop(key).nbytes
+        self._bytes -= self._kept.pop(key).sizes[0]
 
     @property
     def _room(self) -> int:

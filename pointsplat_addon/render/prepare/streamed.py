@@ -150,7 +150,7 @@ def with_pages(
     store.forget_streamed(view, names)
     forget(names)
     for scan, one in zip(scans, cuts, strict=True):
-        first, *more = _joined(scan, one, store, None if moving or waiting else pool)
+        first, *more = _joined(scan, one, store, None if moving else pool)
         geometries[scan.row] = first
         drawn += 0 if one.cut is None else len(one.cut)
         rows = np.flatnonzero(scene.instances.geometry == scan.row)
@@ -297,14 +297,14 @@ def _shown(scan: _Scan, wanted: list[int], pool: PagePool) -> _Shown:
 
 def _joined(scan: _Scan, shown: _Shown, store: Store, pool: PagePool | None) -> list[Geometry]:
     """What a view draws of a scan, points and nodes, each a geometry. `pool`: where pages become parts of it; None:
-    another view is drawn soon."""
+    the view moves, and the next one is drawn soon."""
     streamed, geometry, cut = scan.streamed, scan.geometry, shown.cut
     tree: PageTree | None = streamed.scan.tree
     if tree is None or cut is None:
         return [replace(geometry, key=shown.name, cloud=streamed.stand_in)]
 
     def make() -> CutSplats:
-        splats = splats_of_cut(tree, cut, shown.pages, streamed.size)
+        splats = splats_of_cut(tree, cut, shown.pages, streamed.size, lasting=pool is not None)
         return splats if streamed.box_from_object is None else clipped(splats, streamed)
 
     splats: CutSplats = store.lookup(Key(Kind.STREAMED, shown.name), make)

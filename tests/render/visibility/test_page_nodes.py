@@ -190,4 +190,5 @@ def test_pages_know_what_their_splats_take_on_the_device(nodes: bool, color: boo
     draws = frame.uploads.points.draws
     on_device = sum(texture.nbytes for draw in draws for texture in draw.page.textures.values())
     frame.release()
-    assert page.drawn_nbytes == cloud.nbytes + (shape.nbytes if nodes else 0) + on_device
+    assert page.device_nbytes == on_device
+    assert page.joined_nbytes == cloud.nbytes + (shape.nbytes if nodes else 0)
