@@ -64,7 +64,7 @@ def test_bytes_never_exceed_the_budget_and_the_longest_unneeded_go_first(tmp_pat
         there = pool.pages(scan, LOOK, some)
         assert set(some[:fitting]) <= set(there)
         drawn = sum(max(there[page].joined_nbytes, there[page].device_nbytes) for page in some[:fitting])
-        assert pool.nbytes == sum(kept.nbytes for kept in pool._kept.values()) <= pool.budget - drawn + len(some)
+        assert pool.nbytes == sum(kept.page.nbytes for kept in pool._kept.values()) <= pool.budget - drawn + len(some)
     assert pool.most_bytes <= pool.budget
     last = pool.pages(scan, LOOK, range(pages))
     assert set(some[:fitting]) <= set(last)
