@@ -31,8 +31,11 @@ def test_what_a_view_wants_is_read_once_in_the_order_of_what_it_adds(tmp_path: P
     source, scan = opened(tmp_path)
     pool = PagePool(threads=1)
     pages = [0, 5, 3, 8, 1]
+    assert pool.missing("viewport") == 0
     assert pool.want("viewport", wishes(scan, pages)) == 5
+    assert pool.missing("viewport") <= 5
     until(lambda: not pool.is_busy("viewport"))
+    assert pool.missing("viewport") == 0
     assert source.read_pages == pages
     assert sorted(pool.pages(scan, LOOK, range(20))) == sorted(pages)
     pool.want("viewport", wishes(scan, pages))
