@@ -6,6 +6,7 @@ many sizes come and go. A block is mapped by itself.
 
 from __future__ import annotations
 
+import contextlib
 import mmap
 import sys
 from collections.abc import Mapping, Sequence
@@ -21,9 +22,12 @@ def empty_block(shapes: Mapping[str, tuple[tuple[int, ...], np.dtype]]) -> dict[
     """Returns zeros of several shapes and dtypes, by name, in one block."""
     sizes = [int(np.prod(shape)) * dtype.itemsize for shape, dtype in shapes.values()]
     starts = np.cumsum([0, *(-(-size // ALIGNED) * ALIGNED for size in sizes)]).tolist()
-    if starts[-1] < SMALLEST:
+    block = None
+    if starts[-1] >= SMALLEST:
+        with contextlib.suppress(OSError):  # the system has no more mappings
+            block = mmap.mmap(-1, starts[-1], **_PRIVATE)
+    if block is None:
         return {name: np.zeros(shape, dtype) for name, (shape, dtype) in shapes.items()}
-    block = mmap.mmap(-1, starts[-1], **_PRIVATE)
     return {
         name: np.frombuffer(block, dtype, int(np.prod(shape)), start).reshape(shape)
         for (name, (shape, dtype)), start in zip(shapes.items(), starts, strict=False)
