@@ -33,6 +33,7 @@ STILL_SECONDS = 0.2  # without a change before the picture is refined
 NAVIGATION_SAMPLES = FEW.count  # of each pixel while the view moves: one lattice of the visibility buffer
 MORE_PAGES = 0.25  # of those of a picture have to come before another one is drawn, or all that are to come
 LEAST_PAUSE = 0.3  # seconds between two pictures of a still view for which pages come
+HASTY_PIXELS = 2  # how many pixels one of such a picture takes each way, where fine ones would take longer than that
 LONGEST_PAUSE = 2.0  # seconds, after which fewer pages are enough, where that is longer than drawing takes
 
 
@@ -56,6 +57,7 @@ class Viewport:
         self._error = ""
         self._begun = 0  # frames, so that none is held to tell whether there is another
         self._hasty = False  # the frame has few samples, for pages of scans are still to come
+        self._hasty_pixels = HASTY_PIXELS  # of such frames
         self._made_at, self._made_in = 0.0, 0.0  # when the frame was begun, and what drawing it took, seconds
 
     def __del__(self) -> None:
@@ -108,10 +110,14 @@ class Viewport:
             # The first picture compiled shaders, which others need not.
             compiled = self._made_at > 0
             self._made_at, self._made_in = began, time.perf_counter() - began if compiled else 0.0
+            if self._hasty and compiled:
+                fine = self._made_in * self._hasty_pixels**2  # seconds, at most
+                self._hasty_pixels = HASTY_PIXELS if fine > LEAST_PAUSE else 1
         if self._coarse and self._begun != begun:
             wait(MAIN_GPU.renderer().device)
             self._pace.measured(time.perf_counter() - began)
-        _present(frame, camera, smooth=self._coarse and frame.frame_plan.request.camera.window != camera.window)
+        smooth = self._coarse or self._hasty
+        _present(frame, camera, smooth=smooth and frame.frame_plan.request.camera.window != camera.window)
         engine.update_stats("", "" if streamed is None else streamed.progress)
         if more or self._coarse:
             engine.tag_redraw()
@@ -196,7 +202,12 @@ class Viewport:
             self._pacing = Refining(request)
         self._hasty = not self._coarse and self._reads_pages(scene)
         if self._hasty:
-            request = replace(request, samples=min(request.samples, NAVIGATION_SAMPLES))
+            request = replace(
+                request,
+                camera=camera.with_coarser_pixels(self._hasty_pixels),
+                pages_of=camera,
+                samples=min(request.samples, NAVIGATION_SAMPLES),
+            )
         if self._pacing is not None:
             request = self._pacing.request
         if with_indirect and not (self._coarse or self._hasty):
@@ -214,7 +225,8 @@ class Viewport:
 
     def _is_behind(self, now: float) -> bool:
         """Whether pages have come that the frame lacks, or were to come when it was begun. While more are to come, as
-        much time goes to them as to drawing what is there, and pictures are those of ever more pages."""
+        much time goes to them as to drawing what is there, and pictures are those of ever more pages. None is drawn
+        where all will have come before it is done."""
         streamed = None if self._frame is None else self._frame.frame_plan.streamed
         if streamed is None or not (self._hasty or streamed.waiting):
             return False
@@ -222,7 +234,9 @@ class Viewport:
             return self._hasty or streamed.arrivals != POOL.arrivals
         arrived, since = POOL.arrivals - streamed.arrivals, now - self._made_at
         more = arrived > MORE_PAGES * streamed.drawn or (arrived > 0 and since > LONGEST_PAUSE)
-        return more and since > 2 * self._made_in + LEAST_PAUSE
+        if not (more and since > 2 * self._made_in + LEAST_PAUSE):
+            return False
+        return POOL.missing(VIEWPORT) * since > self._made_in * arrived  # or all are there before it is drawn
 
     def _drop(self) -> None:
         """Release the frame, so that the next drawing starts another."""

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import field, replace
 
 import numpy as np
 
+from ..core.numeric.blocks import concatenated
 from ..core.numeric.record import record
 from ..core.scene.cloud import ATTRIBUTES, PointCloud
 from ..core.scene.scene import PointSize
 from .page import Page
 from .tree import PageTree
+
+Join = Callable[[Sequence[np.ndarray]], np.ndarray]
 
 
 @record
@@ -43,21 +47,28 @@ class CutSplats:
     points: PointCloud | None
     nodes: PointCloud | None
     shape: np.ndarray | None
+    whole: Mapping[int, slice] = field(default_factory=dict)  # rows of pages of which all splats are drawn
 
     @property
     def nbytes(self) -> int:
         return sum(part.nbytes for part in (self.points, self.nodes, self.shape) if part is not None)
 
 
-def splats_of_cut(tree: PageTree, cut: PageCut, there: dict[int, Page], size: PointSize) -> CutSplats:
+def splats_of_cut(
+    tree: PageTree, cut: PageCut, there: dict[int, Page], size: PointSize, lasting: bool = False
+) -> CutSplats:
     """Returns the splats of a cut.
 
     Of additive scans all points of its pages are drawn, as wide as the points around them are apart. Of others pages
-    stand in for the finer ones that are missing.
+    stand in for the finer ones that are missing. `lasting`: they lie in memory that goes back to the system, which
+    takes longer.
     """
+    join: Join = concatenated if lasting else np.concatenate
     points: list[PointCloud] = []
     nodes: list[PointCloud] = []
     shapes: list[np.ndarray] = []
+    whole: dict[int, slice] = {}
+    ends = [0, 0]  # of points and of nodes
     for number in cut.pages:
         page = there[number]
         cloud, shape = page.cloud, page.shape
@@ -72,16 +83,36 @@ def splats_of_cut(tree: PageTree, cut: PageCut, there: dict[int, Page], size: Po
                 rows = np.flatnonzero(np.repeat(mine, count))
                 cloud, shape = cloud.take(rows), None if shape is None else shape[rows]
                 stands, count = stands[mine], count[mine]
+        begin = ends[shape is not None]
+        ends[shape is not None] = end = begin + len(cloud)
+        if cloud is page.cloud:
+            whole[number] = slice(begin, end)
         if shape is None:
             points.append(_sized(cloud, stands, count, there, size) if cloud.radii is None else cloud)
         else:
             nodes.append(cloud)
             shapes.append(shape)
     return CutSplats(
-        joined(points) if points else None,
-        joined(nodes) if nodes else None,
-        np.concatenate(shapes) if shapes else None,
+        joined(points, join) if points else None,
+        joined(nodes, join) if nodes else None,
+        join(shapes) if shapes else None,
+        whole,
     )
+
+
+def parts_of(splats: CutSplats, pages: dict[int, Page]) -> dict[int, Page]:
+    """Returns those pages of which all splats are drawn with their part of what is joined in place of their own
+    arrays."""
+    found = {}
+    for number, rows in splats.whole.items():
+        page = pages[number]
+        joint = splats.points if page.shape is None else splats.nodes
+        if page.cloud is None or joint is None:
+            continue
+        arrays = {name: getattr(joint, name)[rows] for name in page.cloud.arrays()}
+        shape = None if splats.shape is None or page.shape is None else splats.shape[rows]
+        found[number] = replace(page, cloud=replace(page.cloud, **arrays), shape=shape)
+    return found
 
 
 def _sized(
@@ -93,7 +124,7 @@ def _sized(
     return replace(cloud, radii=np.repeat(size.of(spacing)[of_run].astype(np.float32), count)[:, None])
 
 
-def joined(clouds: list[PointCloud]) -> PointCloud:
+def joined(clouds: list[PointCloud], join: Join = np.concatenate) -> PointCloud:
     """Returns clouds of one origin as one. Of attributes that some of them lack they have zeros."""
     if len(clouds) == 1:
         return clouds[0]
@@ -102,7 +133,7 @@ def joined(clouds: list[PointCloud]) -> PointCloud:
         given = [getattr(cloud, name) for cloud in clouds]
         some = next((array for array in given if array is not None), None)
         if some is not None:
-            found[name] = np.concatenate([
+            found[name] = join([
                 np.zeros((len(cloud), *some.shape[1:]), some.dtype) if array is None else array
                 for array, cloud in zip(given, clouds, strict=True)
             ])  # fmt: skip

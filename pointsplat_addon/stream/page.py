@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from ..core.numeric.blocks import copied_block
 from ..core.numeric.record import record
 from ..core.scene.cloud import PointCloud
 from ..core.scene.scene import PageLook
@@ -11,6 +14,9 @@ from ..core.scene.valid.geometry import valid_points
 from ..core.surface.nearest import median_spacing
 from ..formats.points.reader import Columns
 from .tree import PageTree
+
+TEXEL, HALF_TEXEL = 16, 8  # bytes of four channels, and of four half floats or two floats
+SHAPE = "shape"  # among the attributes of a cloud
 
 
 @record
@@ -27,6 +33,35 @@ class Page:
     def nbytes(self) -> int:
         own = (self.cloud, self.shape, self.deepest, self.count)
         return sum(part.nbytes for part in own if part is not None)
+
+    @property
+    def joined_nbytes(self) -> int:
+        """Bytes that its splats take among those that are joined for a picture: points have radii there."""
+        if self.cloud is None:
+            return 0
+        radii = self.cloud.position.itemsize * len(self.cloud) if self.cloud.radii is None else 0
+        return self.cloud.nbytes + radii + (0 if self.shape is None else self.shape.nbytes)
+
+    @property
+    def device_nbytes(self) -> int:
+        """Bytes that its splats take on the device, see render/passes/pages/point_page.py."""
+        cloud, nodes = self.cloud, self.shape is not None
+        if cloud is None:
+            return 0
+        balls = not nodes and cloud.normal is None and cloud.share is None and cloud.material is None
+        balls &= cloud.radii is None or cloud.radii.shape[1] == 1
+        texels = 1 + (not balls) + nodes  # position, extent, moments
+        halves = sum(part is not None for part in (cloud.color, cloud.surface, cloud.emission))
+        return len(cloud) * (TEXEL * texels + HALF_TEXEL * halves)
+
+    def copied(self) -> Page:
+        """The page with splats in memory of its own, which is given back with it."""
+        cloud, shape = self.cloud, self.shape
+        if cloud is None:
+            return self
+        arrays = copied_block(cloud.arrays() if shape is None else {**cloud.arrays(), SHAPE: shape})
+        shape = arrays.pop(SHAPE, None)
+        return replace(self, cloud=replace(cloud, **arrays), shape=shape)
 
 
 def make_page(tree: PageTree, page: int, elements: Columns, look: PageLook) -> Page:
@@ -46,7 +81,7 @@ def make_page(tree: PageTree, page: int, elements: Columns, look: PageLook) -> P
         shape = None if shape is None else shape[order]
     first = np.flatnonzero(np.r_[True, deepest[1:] != deepest[:-1]])
     count = np.diff(np.r_[first, len(deepest)])
-    return Page(cloud, shape, deepest[first], count, _spacing(tree, page, elements["position"]))
+    return Page(cloud, shape, deepest[first], count, _spacing(tree, page, elements["position"])).copied()
 
 
 def _spacing(tree: PageTree, page: int, position: np.ndarray) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from pointsplat_addon.stream.scan import PagedScan
 from tests.support.scan_files import write_ept
 
 SIDE = 20_000  # hundredths, of the root's cube, whose low corner is 0
+PATIENCE = 20.0  # seconds
 OFFSET = 10_000  # of the records that `write_ept` writes
 
 
@@ -41,6 +42,14 @@ def write_octree(folder: Path, position: np.ndarray, most: int, kind: str = "bin
     shift = OFFSET if kind != "laszip" else 0  # the tiles of LAZ have no offset
     write_ept(folder, {name: points - shift for name, points in nodes.items()}, kind)
     return nodes
+
+
+def until(true: Callable[[], bool]) -> None:
+    """Waits until something is true."""
+    end = time.monotonic() + PATIENCE
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.002)
 
 
 class MemoryPages(FileReader):

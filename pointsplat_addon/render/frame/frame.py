@@ -83,7 +83,15 @@ class Frame:
         # Planning can be cancelled: nothing of this frame is on the device yet.
         scene, self._hidden_known = without_unseen(renderer, scene, request, self.clock, presented, picture)
         self.frame_plan = make_frame_plan(
-            scene, request, renderer.store, self.device.limits, renderer.costs, self.clock, presented, picture
+            scene,
+            request,
+            renderer.store,
+            self.device.limits,
+            renderer.costs,
+            self.clock,
+            presented,
+            picture,
+            renderer.kept.forget_streamed,
         )
         self.view = self.frame_plan.view  # of the sample that is drawn
         # Samples before it are not drawn.
@@ -139,12 +147,11 @@ class Frame:
                 frame_plan.shadows,
                 frame_plan.captured_shadows,
                 frame_plan.matte_shadows,
+                run,
             )
         )
         self.clock.spent |= self.uploads.spent
-        for lighting in self.uploads.lightings:
-            if lighting.lacks_maps:
-                run("shadow maps", lighting.draw_maps)
+        self.uploads.draw_maps(run)
         if plan.backdrop:
             self.backdrop = self._own(Backdrop(device, backdrop_grid(frame_plan.view, device.limits.texture_size)))
         count = levels(frame_plan.prepared.largest, frame_plan.view.resolution)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Set
 from dataclasses import replace
 
 import numpy as np
@@ -169,14 +170,24 @@ def make_frame_plan(
     clock: Clock,
     presented: bool,
     picture: bool,
+    forget: Callable[[Set[str]], None] = lambda drawn: None,
 ) -> FramePlan:
     """Returns one view of a scene, prepared and planned.
 
     `limits`, `costs`: of the device. `clock`: is told what shadows take. `presented`: the picture is shown between
-    samples, too. `picture`: Combined is drawn, not auxiliary passes alone. Raises Cancelled where the clock says so.
+    samples, too. `picture`: Combined is drawn, not auxiliary passes alone. `forget`: see with_pages. Raises
+    Cancelled where the clock says so.
     """
     scene, streamed = with_pages(
-        scene, request.camera, request.settings, store, request.interactive, clock.check, moving=request.moving
+        scene,
+        request.camera,
+        request.settings,
+        store,
+        request.interactive,
+        clock.check,
+        moving=request.moving,
+        of=request.pages_of,
+        forget=forget,
     )
     if streamed is not None and request.moving:
         # What casts changes with each picture, and maps are drawn anew.

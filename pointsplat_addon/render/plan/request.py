@@ -33,6 +33,7 @@ class Request:
     moment: tuple[int, int] = (0, 1)
     # Of a picture of moments: indirect light is estimated from what the latest moment without this has gathered.
     known_light: bool = False
+    pages_of: Camera | None = None  # pages of scans are those of its picture, where this is a coarse one of the same
     term: Term | None = None  # Combined is this term of the light alone; None: all of it
 
 

@@ -6,7 +6,8 @@ asks for the rest.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Set
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +21,7 @@ from ...core.scene.scene import Geometry, Scene, StreamedScan
 from ...core.scene.settings import Settings
 from ...core.splat.pixel_radii import with_pixel_radii
 from ...stream.casting import Casters, receivers_of
-from ...stream.cut import CutSplats, PageCut, cut_pages, splats_of_cut
+from ...stream.cut import CutSplats, PageCut, cut_pages, parts_of, splats_of_cut
 from ...stream.need import Need, needed_pages
 from ...stream.page import Page
 from ...stream.pool import PICTURE, POOL, VIEWPORT, PagePool, Wish, wishes_of
@@ -32,9 +33,9 @@ from .separation import with_repeated
 WAIT = 0.05  # seconds between two looks whether the picture is still wanted
 PATIENCE = 60.0  # seconds without a page, after which a picture no longer waits for the rest
 FIRST = 0.3  # the same for a viewport that has never shown a scan, so that its first picture is not empty
+ENOUGH = 64  # pages that such a picture waits for, no longer than that: it compiles shaders, and is looked at meanwhile
 MEGABYTE = 1 << 20
 NARROW = 0.01  # radians: half the angle of suns that are points while a view moves; that of the sun is 0.0047
-ROUNDS = 4  # at most, in which a picture asks for what fits the budget
 
 
 @value_record
@@ -81,13 +82,18 @@ def with_pages(
     check: Callable[[], None],
     pool: PagePool = POOL,
     moving: bool = False,
+    of: Camera | None = None,
+    forget: Callable[[Set[str]], None] = lambda drawn: None,
 ) -> tuple[Scene, Streamed | None]:
     """Returns the scene with clouds in the place of scans that are read by pages, and what was read; None: there are no
     such scans.
 
     `check` is called while pages are read, and may raise to stop. `moving`: the view is drawn finely once nothing
-    moves: until then what is out of view casts no shadows, and suns that are nearly points are points.
+    moves: until then what is out of view casts no shadows, and suns that are nearly points are points. `of`: whose
+    picture needs the pages; None: the camera's. `forget`: is called with the content keys of what is drawn of scans,
+    before it is made.
     """
+    asking = camera if of is None else of
     scans = _scans(scene, camera)
     if not scans:
         return scene, None
@@ -107,23 +113,23 @@ def with_pages(
         _wait(pool, opening, check, [], FIRST)
     if moving:
         scene = replace(scene, lights=tuple(map(_hurried, scene.lights)))
-        needs = [_need(scan, camera, settings.tolerance) for scan in scans]
+        needs = [_need(scan, asking, settings.tolerance) for scan in scans]
     else:
-        needs = _needs(scans, scene, camera, settings)
+        needs = _needs(scans, scene, asking, settings)
     view = VIEWPORT if interactive else PICTURE
     of_each = [_wishes(scan, need) for scan, need in zip(scans, needs, strict=True)]
     wishes = sorted((wish for some in of_each for wish in some), key=lambda wish: -wish.gain)
-    spare = _coming(scans, camera, settings.tolerance, pool, wishes) if interactive else []
+    spare = _coming(scans, asking, settings.tolerance, pool, wishes) if interactive else []
     fitting = pool.want(view, wishes, spare, moving)
     if new:
         shown = [scan.streamed for scan in scans if scan.streamed.scan.tree is not None]
         _wait(pool, lambda: pool.is_busy(view) and not _begun(pool, shown), check, [], FIRST)
+        until = time.monotonic() + FIRST
+        some = wishes[: min(ENOUGH, fitting)]
+        _wait(pool, lambda: pool.is_busy(view) and time.monotonic() < until and not _are_there(pool, some), check, [])
     if not interactive:
-        for _ in range(ROUNDS):  # how much memory pages take is known when the first are there
-            _wait(pool, lambda: pool.is_busy(view), check, warnings)
-            before_it, fitting = fitting, pool.want(view, wishes)
-            if fitting == before_it:
-                break
+        _wait(pool, lambda: pool.is_busy(view), check, warnings)
+        fitting = pool.fitting(view)
         if fitting < len(wishes):
             warnings.append(
                 f"The memory budget of {settings.memory_budget:,} MB holds {fitting:,} of {len(wishes):,} pages that"
@@ -140,9 +146,11 @@ def with_pages(
         _shown(scan, [wish.page for wish in some if wish.key in fits], pool)
         for scan, some in zip(scans, of_each, strict=True)
     ]
-    store.forget_streamed(view, {name for one in cuts for name in (one.name, one.of_nodes)})
+    names = {name for one in cuts for name in (one.name, one.of_nodes)}
+    store.forget_streamed(view, names)
+    forget(names)
     for scan, one in zip(scans, cuts, strict=True):
-        first, *more = _joined(scan, one, store)
+        first, *more = _joined(scan, one, store, None if moving else pool)
         geometries[scan.row] = first
         drawn += 0 if one.cut is None else len(one.cut)
         rows = np.flatnonzero(scene.instances.geometry == scan.row)
@@ -171,6 +179,11 @@ def _scans(scene: Scene, camera: Camera) -> list[_Scan]:
 def _begun(pool: PagePool, scans: list[StreamedScan]) -> bool:
     """Whether the first pages of scans are there."""
     return all(pool.pages(one.scan, one.look, [0]) for one in scans)
+
+
+def _are_there(pool: PagePool, wishes: list[Wish]) -> bool:
+    """Whether pages are there, or cannot be read."""
+    return all(wish.page in wish.scan.damaged or pool.pages(wish.scan, wish.look, [wish.page]) for wish in wishes)
 
 
 def _files(scans: list[_Scan]) -> list:
@@ -282,18 +295,21 @@ def _shown(scan: _Scan, wanted: list[int], pool: PagePool) -> _Shown:
     return _Shown(f"{name} {streamed.scan.number} {cut.digest}", there, cut)
 
 
-def _joined(scan: _Scan, shown: _Shown, store: Store) -> list[Geometry]:
-    """What a view draws of a scan, points and nodes, each a geometry."""
+def _joined(scan: _Scan, shown: _Shown, store: Store, pool: PagePool | None) -> list[Geometry]:
+    """What a view draws of a scan, points and nodes, each a geometry. `pool`: where pages become parts of it; None:
+    the view moves, and the next one is drawn soon."""
     streamed, geometry, cut = scan.streamed, scan.geometry, shown.cut
     tree: PageTree | None = streamed.scan.tree
     if tree is None or cut is None:
         return [replace(geometry, key=shown.name, cloud=streamed.stand_in)]
 
     def make() -> CutSplats:
-        splats = splats_of_cut(tree, cut, shown.pages, streamed.size)
+        splats = splats_of_cut(tree, cut, shown.pages, streamed.size, lasting=pool is not None)
         return splats if streamed.box_from_object is None else clipped(splats, streamed)
 
     splats: CutSplats = store.lookup(Key(Kind.STREAMED, shown.name), make)
+    if pool is not None and not pool.is_shared(geometry.key, splats):
+        pool.share(streamed.scan, streamed.look, geometry.key, splats, parts_of(splats, shown.pages))
     found = []
     if splats.points is not None or splats.nodes is None:
         found.append(replace(geometry, key=shown.name, cloud=splats.points))

@@ -14,6 +14,7 @@ from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.scene import Geometry, PointSize
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
+from pointsplat_addon.render.device.packing import PAGE_WIDTH
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.stream.cut import cut_pages, splats_of_cut
 from pointsplat_addon.stream.page import Page
@@ -163,3 +164,31 @@ def test_a_page_shows_of_its_nodes_those_that_no_finer_page_shows(tmp_path: Path
     mine = np.isin(tree.deepest(0, root), [0, gone])
     others = sum(len(source.rows[page]) for page in some if page)
     assert len(shown) == int(mine.sum()) + others
+
+
+@pytest.mark.parametrize(
+    ("nodes", "color", "disks"),
+    [(True, True, False), (True, False, False), (False, True, False), (False, False, False), (False, True, True)],
+)
+def test_pages_know_what_their_splats_take_on_the_device(nodes: bool, color: bool, disks: bool) -> None:
+    count = PAGE_WIDTH  # a row of textures
+    random = np.random.default_rng(4)
+    normal, axis, radii, covered = random_nodes(count)
+    shape, radius = node_shape(normal, axis, radii, covered)
+    cloud = PointCloud(
+        random.uniform(-1, 1, (count, 3)).astype(np.float32),
+        normal=normal if disks else None,
+        radii=radius[:, None],
+        color=random.uniform(0, 1, (count, 3)).astype(np.float32) if color else None,
+        share=covered if nodes else None,
+    )
+    page = Page(cloud, shape if nodes else None, np.zeros(1, np.int32), np.array([count]), 0.1)
+    geometry = Geometry(f"{nodes} {color} {disks}", "Page", cloud=cloud, node_shape=page.shape)
+    camera = cameras.camera(eye=(0, -9, 0), target=(0, 0, 0), resolution=(SIDE, SIDE))
+    request = Request(camera, Settings(technique="VISIBILITY"), frozenset({"combined"}), 17, interactive=True)
+    frame = opengl().start(build.scene((geometry, np.eye(4)), world=World(np.ones(3))), request)
+    draws = frame.uploads.points.draws
+    on_device = sum(texture.nbytes for draw in draws for texture in draw.page.textures.values())
+    frame.release()
+    assert page.device_nbytes == on_device
+    assert page.joined_nbytes == cloud.nbytes + (shape.nbytes if nodes else 0)

@@ -235,6 +235,40 @@ def test_the_first_picture_of_a_viewport_is_not_empty(tmp_path: Path) -> None:
     frame.release()
 
 
+def test_the_first_picture_of_a_viewport_waits_for_some_pages_but_not_long(tmp_path: Path, monkeypatch) -> None:
+    request = Request(CAMERA, SETTINGS, frozenset({"combined"}), 17, interactive=True)
+    drawn = {}
+    for name, seconds, most in (("quick", 0.001, 60.0), ("slow", 0.2, streamed_pages.FIRST)):
+        (tmp_path / name).mkdir()
+        source, scene = paged(tmp_path / name)
+        source.seconds = seconds
+        monkeypatch.setattr(streamed_pages, "FIRST", most)
+        frame = opengl().start(scene, request)
+        assert frame.frame_plan.streamed is not None
+        drawn[name] = frame.frame_plan.streamed.drawn
+        frame.release()
+        POOL.clear()
+    assert 0 < drawn["slow"] < streamed_pages.ENOUGH <= drawn["quick"]
+
+
+def test_a_coarse_picture_reads_and_draws_the_pages_of_the_fine_one(tmp_path: Path) -> None:
+    _, scene = paged(tmp_path)
+    settings = replace(SETTINGS, tolerance=COARSE)
+    fine = Request(CAMERA, settings, frozenset({"combined"}), 5, interactive=True)
+    halved = replace(fine, camera=CAMERA.with_coarser_pixels(2))
+    found = []
+    for request in (fine, replace(halved, pages_of=CAMERA), halved):
+        while True:
+            frame = opengl().start(scene, request)
+            streamed = frame.frame_plan.streamed
+            frame.release()
+            assert streamed is not None
+            if not streamed.waiting:
+                break
+        found.append((streamed.needed, streamed.drawn, streamed.points))
+    assert found[0] == found[1] != found[2]
+
+
 def test_of_what_a_kind_of_views_drew_of_scans_the_latest_is_kept(tmp_path: Path) -> None:
     _, scene = paged(tmp_path)
     renderer = opengl()

@@ -158,8 +158,8 @@ class LightingUploads:
                 return draw(casters)
             finally:
                 casters.release()
-                if any(geometry.streamed is not None for geometry in self._scene.geometries):
-                    scope.kept.forget_streamed()  # what cast: no other picture draws the same pages
+                if casters.alone:
+                    scope.kept.forget_streamed()
 
         device = scope.device
         return scope.lookup(key, lambda: on_disk.lookup(key, make, depths_form(device), device.limits.driver))

@@ -61,8 +61,11 @@ class CasterUploads:
             lines=any(geometry.strands is not None for geometry in self.scene.geometries),
             options=_options(plan.options, self.prepared),
         )
+        # Nodes of scans read by pages cast as balls: no picture draws the same, and none casts colours.
+        self.alone = any(geometry.node_shape is not None for geometry in self.scene.geometries)
+        bare = replace(plan.variant, color=False, surface=False, emission=False) if self.alone else plan.variant
         try:
-            self.points = PointUploads(self._scope, self.scene, self.prepared, self.plan)
+            self.points = PointUploads(self._scope, self.scene, self.prepared, replace(self.plan, variant=bare))
             self.polygons = PolygonUploads(self._scope, store, self.scene, self.prepared, self.plan, whole_scene=scene)
         except Exception:
             self.release()

@@ -26,6 +26,13 @@ from .scope import UploadScope
 from .strands import StrandUploads
 from .translucent import TranslucentUploads
 
+Run = Callable[[str, Callable[[], None]], None]  # runs a pass by its name
+
+
+def at_once(name: str, work: Callable[[], None]) -> None:
+    """Runs a pass."""
+    work()
+
 
 class Uploads:
     """Everything that one view of a scene reads; small tables are this frame's own, the rest is kept in a cache."""
@@ -43,10 +50,11 @@ class Uploads:
         shadows: Shadows | None = None,
         captured_shadows: Mapping[int, Shadows | None] | None = None,
         matte_shadows: Shadows | None = None,
+        run: Run = at_once,
     ) -> None:
         """`motion`: a pass asks how instances move. `exact`: nothing may depend on earlier frames.
         `captured_shadows`: that captured splats receive, by geometry; `matte_shadows`: that mattes do.
-        DeviceError: a texture is too large, or memory is full."""
+        `run`: times what is drawn. DeviceError: a texture is too large, or memory is full."""
         self.scene, self.camera, self.prepared = scene, camera, prepared
         self._middle = prepared.view_from_object
         self._scope = UploadScope(kept)
@@ -63,7 +71,11 @@ class Uploads:
                 self.matte_lighting = self._lighting_of_captured(
                     store, scene, plan, plan.matte_light.names, matte_shadows
                 )
+            if pages:
+                self.draw_maps(run)  # before what is drawn is uploaded: what casts takes as much
             self.points = PointUploads(self._scope, scene, prepared, plan)
+            if pages:
+                kept.forget_streamed()  # what cast, where no picture draws the same
             self.polygons = PolygonUploads(self._scope, store, scene, prepared, plan, camera)
             self.strands = StrandUploads(self._scope, store, scene, prepared, plan)
             if plan.translucent is not None and plan.translucent.captured:
@@ -104,6 +116,12 @@ class Uploads:
         """What lights everything, and what lights captured splats."""
         mattes = () if self.matte_lighting is None else (self.matte_lighting,)
         return self.lighting, *mattes, *self._captured_lighting.values()
+
+    def draw_maps(self, run: Run) -> None:
+        """Draws the depth maps of lights that are not there."""
+        for lighting in self.lightings:
+            if lighting.lacks_maps:
+                run("shadow maps", lighting.draw_maps)
 
     @property
     def shading(self) -> dict[str, Texture]:
