@@ -41,7 +41,7 @@
 // How large nodes may be whose surfaces are turned to all sides, over those that are flat: one mean radiance stands for all.
 #define PS_TURNED 0.25
 #define PS_LEAVES 4.0  // the same of leaves, which need not be tight
-#define PS_HAIRS 16.0  // and of hairs, of whose area half as much is seen
+#define PS_HAIRS 4.0  // and of hairs, of whose area half as much is seen
 #define PS_SPREAD 1.0  // radii of these: the side of the square over which one is spread
 #define PS_ROUND 2.0  // the same of balls, each of which has one radiance
 #define PS_ABOVE 0.05  // radii of a leaf above the receiver's plane from which on it is seen
@@ -104,7 +104,7 @@ struct PsSeen {
   float nearness;  // one over its distance
   float across;  // sides of the square that it is spread over, over its distance; at least a cell and at most two count
   float front, back;  // solid angles of what faces the receiver, and of what does not
-  bool single;  // one leaf or piece of a hair, which does not hide itself
+  bool single;  // one piece of a leaf or hair that is a body, which does not hide itself
 #ifdef PS_SHINING
   bool shining;  // it emits light
   vec3 plane;  // its normal over the distance of its plane, in the receiver's axes
@@ -444,7 +444,7 @@ void main()
       angle *= ps_share_within(away, 0.5 * (whole_leaf ? 2.0 * node.radius : max(sides.x, sides.y)), look.along * toward);
 #endif
       PsSeen seen;
-      seen.single = node.first < 0;
+      seen.single = node.first < 0 && look.solid;
       seen.nearness = 1.0 / away;
       seen.across = look.scattered ? PS_SPREAD * node.radius / away : 0.0;
 #ifdef PS_CAPTURED

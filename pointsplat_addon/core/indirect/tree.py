@@ -41,6 +41,9 @@ class LightTree:
     along: np.ndarray
     thickness: np.ndarray  # (M,) float32: how far along the axis, either way, all its surfels' disks lie at most
     scattered: np.ndarray  # (M,) float32: share of the area that belongs to leaves and hairs
+    round: (
+        np.ndarray | None
+    )  # (M,) bool: all its surfels are turned to every side, as balls and hairs; None: of no node
     # (M,) bool: most of the area belongs to leaves and hairs that are closed; None: of no node
     solid: np.ndarray | None
     captured: np.ndarray | None  # (M,) bool: most of the area belongs to captured splats; None: of no node
@@ -188,7 +191,9 @@ def _placed(
     axis[2, length == 0] = 1
     several = np.flatnonzero(held != 1)
     axis[:, several], along[several] = _axes(means[PRODUCTS].take(several, axis=1))
-    hairs = np.flatnonzero(~means[NORMAL].any(axis=0) & (means[SCATTERED] > 0.5))
+    flat = surfels.normal.any(axis=1)
+    round_ones = None if flat.all() else _held(flat, surfels, leaf, placed, area) == 0
+    hairs = np.flatnonzero(round_ones & (means[SCATTERED] > 0.5)) if round_ones is not None else leaf[:0]
     if len(hairs):
         of = means[PRODUCTS].take(hairs, axis=1)
         axis[:, hairs], along[hairs] = _axes(np.concatenate([of[:3].sum(axis=0) - 2 * of[:3], -2 * of[3:]]))
@@ -197,9 +202,9 @@ def _placed(
     for nodes, count, children in placed:
         turned[children] = dot(axis[:, children], np.repeat(axis[:, nodes], count, axis=1)) < 0
     radii, position = radii[number], means[POSITION]
-    flat = np.zeros(size, bool)
-    flat[leaf] = surfels.normal.any(axis=1)
-    thickness = np.where(flat & (held == 1), 0.0, radii)
+    of_flat = np.zeros(size, bool)
+    of_flat[leaf] = flat
+    thickness = np.where(of_flat & (held == 1), 0.0, radii)
     for nodes, count, children in placed:
         of_parent = np.repeat(axis[:, nodes], count, axis=1)
         away = np.abs(dot(position[:, children] - np.repeat(position[:, nodes], count, axis=1), of_parent))
@@ -229,6 +234,7 @@ def _placed(
         along=along.astype(f),
         thickness=thickness.astype(f),
         scattered=means[SCATTERED].astype(f),
+        round=round_ones,
         solid=solid,
         captured=captured,
         shining=shining,
@@ -251,10 +257,21 @@ def _mostly(
 ) -> np.ndarray:
     """(M,) bool: nodes most of whose area, (M,), belongs to surfels of a kind, (N,) bool. `leaf`, `levels`: as of
     LightTree."""
+    return _held(which, surfels, leaf, levels, area) > 0.5 * area
+
+
+def _held(
+    which: np.ndarray,
+    surfels: Surfels,
+    leaf: np.ndarray,
+    levels: list[tuple[np.ndarray, np.ndarray, slice]],
+    area: np.ndarray,
+) -> np.ndarray:
+    """(M,): the area in nodes that belongs to surfels of a kind, as _mostly."""
     held = np.bincount(leaf, surfels.area * which, len(area))
     for nodes, count, children in levels:
         held[nodes] = np.add.reduceat(held[children], starts(count))
-    return held > 0.5 * area
+    return held
 
 
 def _areas_seen(

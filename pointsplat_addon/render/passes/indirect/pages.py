@@ -54,12 +54,10 @@ def node_shapes(tree: LightTree) -> np.ndarray:
     found[leaves, 5] -= _edge_codes(tree, leaves)
     thickness = np.ceil(LEVELS * np.minimum(tree.thickness / tree.radius * (1 + 1e-6), 1.0))
     found[:, 6] = (
-        tree.octants
-        + 256.0 * (tree.scattered > 0.5)
-        + 512.0 * np.rint(LEVELS * tree.along)
-        + 32768.0 * thickness
-        + ROUND * ~tree.facing.any(axis=1)
+        tree.octants + 256.0 * (tree.scattered > 0.5) + 512.0 * np.rint(LEVELS * tree.along) + 32768.0 * thickness
     )
+    if tree.round is not None:
+        found[:, 6] += ROUND * tree.round
     if tree.captured is not None:
         found[:, 6] += CAPTURED * tree.captured
     if tree.shining is not None:
