@@ -33,8 +33,7 @@ void main()
     normal = -normal;
   }
   if (centre.w <= PS_POLYGON && centre.z > 0.5) {
-    vec3 cut = ps_gathering_normal(normal, ps_unpack_normal(centre.z - 1.0), to_eye).xyz;
-    normal = u.cuts > 0.5 ? cut : normal;
+    normal = ps_gathering_normal(normal, ps_unpack_normal(centre.z - 1.0), to_eye).xyz;
   }
   float row = shape.w < -0.5 ? -1.0 - shape.w : shape.w;
   vec4 look = texelFetch(ps_materials, ivec2(2, int(row + 0.5)), 0);

@@ -1,5 +1,5 @@
-"""Finds out whether a mesh is closed: whether its surface has an inside that nobody sees from outside; and whether it is so
-but for small gaps."""
+"""Finds out whether a mesh is closed: whether its surface has an inside that nobody sees from outside; and
+whether it is so but for small gaps."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ def leaves(count: int, *, sheets: int, flat: bool) -> Mesh:
     square = middle + 0.02 * np.stack([-across - other, across - other, across + other, other - across], axis=1)
     corners = [square + (0.001 if sheets == 2 else 0) * up[:, None], square - 0.001 * up[:, None]][:sheets]
     first = 4 * np.arange(count)[:, None]
-    triangles = np.concatenate([first + [0, 1, 2], first + [0, 2, 3]])
+    triangles = np.concatenate([first + np.array(corner) for corner in ((0, 1, 2), (0, 2, 3))])
     every = [triangles, triangles[:, ::-1] + 4 * count][:sheets]
     return flat_mesh("leaves", np.concatenate(corners).reshape(-1, 3).astype(np.float32), np.concatenate(every))
 

@@ -85,7 +85,7 @@ class GroupsInIndirectLight:
         device.draw(
             program,
             lists.place_target,
-            uniforms=view.record(GROUP_POINTS_BLOCK, tree_from_view=turned, cuts=float(not self._light.occlusion)),
+            uniforms=view.record(GROUP_POINTS_BLOCK, tree_from_view=turned),
             textures={name: texture for name, texture in textures.items() if name in names},
         )
         count = len(entries)

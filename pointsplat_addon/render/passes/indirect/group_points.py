@@ -6,7 +6,7 @@ from ....shading.interface import Interface
 from ..gbuffer import Variant
 from ..uniforms import CAMERA_FIELDS, block
 
-GROUP_POINTS_BLOCK = block("GroupPoints", CAMERA_FIELDS, (("mat4", "tree_from_view"), ("float", "cuts")))
+GROUP_POINTS_BLOCK = block("GroupPoints", CAMERA_FIELDS, (("mat4", "tree_from_view"),))
 
 
 def group_points_program(variant: Variant, mirrors: bool = False) -> Interface:
