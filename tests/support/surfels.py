@@ -15,8 +15,8 @@ def surfels_of(
     count, f = len(position), np.float32
     none = np.zeros((count, 3), f)
     return Surfels(
-        np.zeros(3), position.astype(f), normal.astype(f), np.broadcast_to(area, count).astype(f), np.full(count, closed),
-        np.full(count, scattered), none, none, none, np.zeros(count, bool),
+        np.zeros(3), position.astype(f), normal.astype(f), np.broadcast_to(area, count).astype(f),
+        np.full(count, closed), np.full(count, scattered), none, none, none, np.zeros(count, bool),
     )  # fmt: skip
 
 

@@ -41,9 +41,8 @@ class LightTree:
     along: np.ndarray
     thickness: np.ndarray  # (M,) float32: how far along the axis, either way, all its surfels' disks lie at most
     scattered: np.ndarray  # (M,) float32: share of the area that belongs to leaves and hairs
-    round: (
-        np.ndarray | None
-    )  # (M,) bool: all its surfels are turned to every side, as balls and hairs; None: of no node
+    # (M,) bool: all its surfels are turned to every side, as balls and hairs; None: of no node
+    round: np.ndarray | None
     # (M,) bool: most of the area belongs to leaves and hairs that are closed; None: of no node
     solid: np.ndarray | None
     captured: np.ndarray | None  # (M,) bool: most of the area belongs to captured splats; None: of no node

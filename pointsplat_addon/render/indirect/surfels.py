@@ -34,8 +34,8 @@ FEWEST_IN_FOLIAGE = 2000  # triangles: with fewer, open edges are those of floor
 DEFAULT_RADIUS = 0.01  # of points without one, as in Blender
 BLOCK = 1 << 18  # points of a cloud whose places are known at once: scans would double in memory
 MOST_IN_SHEETS = 1 << 18  # balls of a cloud by which its sheets are found
-# How many times as many pieces of hairs there are as squares of what they show would be: one that stands for many others is a lump
-# between which light passes.
+# How many times as many pieces of hairs there are as squares of what they show would be: one that stands for many
+# others is a lump, beside which light passes.
 FINER_HAIRS = 6
 MANY_INSTANCES = 16  # of a geometry, from which on they share samples
 

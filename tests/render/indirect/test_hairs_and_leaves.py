@@ -82,10 +82,11 @@ def drawn(case: Case) -> np.ndarray:
 
 
 def test_light_from_below_a_surface_does_not_count():
-    """A plane whose normals are turned by 75 degrees gathers (1 + cos) / 2 of an even sky: what lies below it is hidden."""
+    """A plane whose normals are turned by 75 degrees gathers (1 + cos) / 2 of an even sky: it hides what lies below."""
     turned = np.radians(75)
     square = plane_mesh("turned normals", 4.0)
     made = flat_mesh("turned normals", square.position, square.triangles)
+    assert made.corner_normal is not None
     own = made.corner_normal[0, 0].astype(float)
     beside = np.cross(own, [1.0, 0, 0])
     normal = np.cos(turned) * own + np.sin(turned) * beside / np.linalg.norm(beside)
@@ -93,5 +94,6 @@ def test_light_from_below_a_surface_does_not_count():
     table = materials(1, base_color=[[1.0] * 3], specular=[0.0], roughness=[1.0])
     lit = scene((mesh(made, "POLYGONS"), LAID), lights=(), world=World(np.ones(3)), table=table)
     found = drawn(Case(lit, camera((0, -3.0, 2.0), resolution=(96, 64)), replace(SETTINGS, bounces=0)))
-    # By the plane's own surfels, which hide what lies below it.
-    assert np.abs(found - (1 + np.cos(turned)) / 2).max() < 0.012  # 0.0083 along the middle
+    # Away from its edges, beyond which nothing hides what lies below.
+    middle = found[16:48, 32:64]
+    assert np.abs(middle - (1 + np.cos(turned)) / 2).max() < 0.012  # 0.0080

@@ -273,7 +273,7 @@ class GroupsInIndirectLight:
         smooth = (roughness >= 0) | (fibre & (roughness > MATTE_FIBRE))
         sharpness = lobe_sharpness(np.where(fibre, -2 - roughness, roughness)[smooth])
         beside = np.cross(normal, eye - (normal * eye).sum(axis=1, keepdims=True) * normal)
-        beside *= (fibre / np.maximum(np.linalg.norm(beside, axis=1), 1e-4))[:, None]
+        beside *= fibre[:, None] / np.maximum(np.linalg.norm(beside, axis=1, keepdims=True), 1e-4)
         for at, weight in ACROSS if fibre.any() else (WHOLE,):
             # Of fibres the mean over their width.
             turned = np.where(fibre[:, None], (1 - at * at) ** 0.5, 1.0) * normal + at * beside
