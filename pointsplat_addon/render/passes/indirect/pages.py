@@ -56,8 +56,9 @@ def node_shapes(tree: LightTree) -> np.ndarray:
     found[:, 6] = (
         tree.octants + 256.0 * (tree.scattered > 0.5) + 512.0 * np.rint(LEVELS * tree.along) + 32768.0 * thickness
     )
-    if tree.round is not None:
-        found[:, 6] += ROUND * tree.round
+    # Leaves of two sheets may face no side either, but hairs are only what has no normals.
+    of_hairs = np.zeros(len(tree), bool) if tree.round is None else tree.round
+    found[:, 6] += ROUND * (~tree.facing.any(axis=1) & (of_hairs | (tree.scattered <= 0.5)))
     if tree.captured is not None:
         found[:, 6] += CAPTURED * tree.captured
     if tree.shining is not None:
