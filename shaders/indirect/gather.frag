@@ -5,7 +5,7 @@
 //   out_glossy: mean radiance of surfaces over the lobe around the mirrored view, and the share of the lobe that is open
 // A walk meets near nodes first. A node is opened until it is smaller than a cell; then it covers as much of the cells under it
 // as it is large. Nodes behind cells that are covered are passed over. What surfaces cover adds up, so that they are tight; leaves
-// and hairs hide each other as if they lay there by chance. PS_GLOSSY: out_glossy is wanted. PS_MEDIA: media hide and send light, too, along PS_RAYS x PS_RAYS rays through each cell.
+// and hairs hide each other as if they lay there by chance, those that are bodies by their fronts alone. PS_GLOSSY: out_glossy is wanted. PS_MEDIA: media hide and send light, too, along PS_RAYS x PS_RAYS rays through each cell.
 // PS_CAPTURED: there are captured splats. They cover 4 x 4 parts of each cell, for they lie in many layers, which would all add up in a
 // cell that they cover in part. In a part what lies at one distance adds up, as it tiles a surface; what lies clearly farther away,
 // beside how far a tilted surface goes on within a cell, is hidden by chance.
@@ -41,7 +41,7 @@
 // How large nodes may be whose surfaces are turned to all sides, over those that are flat: one mean radiance stands for all.
 #define PS_TURNED 0.25
 #define PS_LEAVES 4.0  // the same of leaves, which need not be tight
-#define PS_HAIRS 16.0  // and of hairs, of whose area half as much is seen
+#define PS_HAIRS 4.0  // and of hairs, of whose area half as much is seen
 #define PS_SPREAD 1.0  // radii of these: the side of the square over which one is spread
 #define PS_ROUND 2.0  // the same of balls, each of which has one radiance
 #define PS_ABOVE 0.05  // radii of a leaf above the receiver's plane from which on it is seen
@@ -104,6 +104,7 @@ struct PsSeen {
   float nearness;  // one over its distance
   float across;  // sides of the square that it is spread over, over its distance; at least a cell and at most two count
   float front, back;  // solid angles of what faces the receiver, and of what does not
+  bool single;  // one piece of a leaf or hair that is a body, which does not hide itself
 #ifdef PS_SHINING
   bool shining;  // it emits light
   vec3 plane;  // its normal over the distance of its plane, in the receiver's axes
@@ -153,10 +154,11 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   covered -= late;
   inside += late;
   float hides = entered * (ps_fronts >= PS_OUTSIDE * ps_backs ? PS_HIDES : 1.0) - late;
-  float hidden = solid * min(left, max(inside, 0.0) + hides);
+  float hidden = look.solid ? left : solid * min(left, max(inside, 0.0) + hides);
   float seen_back = left - hidden, whole = entered + seen_back;
   inside += solid * (hides - left);
-  float open = 1.0 - covered, covers = look.scattered ? (1.0 - exp(-whole)) * open : min(whole, open);
+  float open = 1.0 - covered, by_chance = seen.single ? min(whole, 1.0) : 1.0 - exp(-whole);
+  float covers = look.scattered ? by_chance * open : min(whole, open);
   covered += covers;
 #ifdef PS_SHINING
   covers = ps_cover_quarters(i, max(low - vec2(at), 0.0), min(high - vec2(at), 1.0), whole, kept, seen, look);
@@ -436,11 +438,13 @@ void main()
       float away2 = max(dot(to, to), 1e-36), away = sqrt(away2);
       float signed_area = -dot(look.facing, to) / away, toward = -dot(look.axis, to) / away;
       float both = max(look.along * abs(toward) + 0.5 * (1.0 - look.along), abs(signed_area));
+      both = ps_is_hairs(node) ? ps_shown_of_hairs(node, toward) : both;
       float angle = 0.5 * above * area / (away2 + area / (2.0 * PS_PI));
 #ifdef PS_OCCLUSION
       angle *= ps_share_within(away, 0.5 * (whole_leaf ? 2.0 * node.radius : max(sides.x, sides.y)), look.along * toward);
 #endif
       PsSeen seen;
+      seen.single = node.first < 0 && look.solid;
       seen.nearness = 1.0 / away;
       seen.across = look.scattered ? PS_SPREAD * node.radius / away : 0.0;
 #ifdef PS_CAPTURED

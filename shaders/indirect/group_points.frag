@@ -1,6 +1,7 @@
 // Where the groups of a list are, and how they are turned, in the space of the light tree: one texel a group.
 //   out_place: position; depth in the view, 0: no group
-//   out_up: normal of the side that is seen; roughness, -1 where nothing is mirrored
+//   out_up: normal of the side that is seen; roughness, -1 where nothing is mirrored; of fibres, whose normal is that of their middle,
+//     -2 less the roughness, and -4
 //   out_ray: PS_MIRRORS: where the eye is mirrored to; how far what the group stands for bulges above its plane
 
 #include "lib/geometry/camera.glsl"
@@ -31,6 +32,9 @@ void main()
   } else if (centre.w <= PS_POLYGON && centre.z <= 0.5 && dot(normal, to_eye) < 0.0) {
     normal = -normal;
   }
+  if (centre.w <= PS_POLYGON && centre.z > 0.5) {
+    normal = ps_gathering_normal(normal, ps_unpack_normal(centre.z - 1.0), to_eye).xyz;
+  }
   float row = shape.w < -0.5 ? -1.0 - shape.w : shape.w;
   vec4 look = texelFetch(ps_materials, ivec2(2, int(row + 0.5)), 0);
 #ifdef PS_SURFACE
@@ -40,7 +44,7 @@ void main()
   float roughness = look.y;
   bool mirrors = look.z > 0.0 || look.w != 1.0;
 #endif
-  roughness = mirrors && !ps_is_strand(centre) ? roughness : -1.0;
+  roughness = ps_is_strand(centre) ? (mirrors ? -2.0 - roughness : -4.0) : mirrors ? roughness : -1.0;
   out_place = vec4(mat3(u.tree_from_view) * position, centre.x);
   out_up = vec4(mat3(u.tree_from_view) * normal, roughness);
 #ifdef PS_MIRRORS

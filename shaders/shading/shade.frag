@@ -159,6 +159,11 @@ void main()
 #ifndef PS_AUXILIARY_ONLY
 #ifdef PS_INDIRECT
   ps_gathered = texelFetch(ps_gathered_light, pixel, 0);
+#ifndef PS_HITS  // for these light is gathered about their own normals
+  if (plane != vec3(0.0)) {
+    ps_gathered.rgb *= ps_gathering_normal(normal, plane, to_eye).w;
+  }
+#endif
   ps_mirrored = texelFetch(ps_mirrored_light, pixel, 0);
 #endif
 #ifdef PS_STRANDS

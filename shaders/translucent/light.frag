@@ -249,7 +249,7 @@ void main()
   if (optics.z < -0.5 && optics.w > 0.5) {
     vec3 along = normalize(a), outward = to_eye - dot(to_eye, along) * along;
     facing = normalize(dot(outward, outward) > 1e-12 ? outward : to_eye);
-    roughness = -1.0;
+    roughness = roughness < 0.0 ? -4.0 : -2.0 - roughness;
     shows_back = false;
   }
 #endif

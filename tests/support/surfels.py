@@ -9,12 +9,14 @@ from pointsplat_addon.core.indirect.surfels import Surfels
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def surfels_of(position: np.ndarray, normal: np.ndarray, area: np.ndarray, scattered: bool = False) -> Surfels:
+def surfels_of(
+    position: np.ndarray, normal: np.ndarray, area: np.ndarray, scattered: bool = False, closed: bool = True
+) -> Surfels:
     count, f = len(position), np.float32
     none = np.zeros((count, 3), f)
     return Surfels(
-        np.zeros(3), position.astype(f), normal.astype(f), np.broadcast_to(area, count).astype(f), np.ones(count, bool),
-        np.full(count, scattered), none, none, none, np.zeros(count, bool),
+        np.zeros(3), position.astype(f), normal.astype(f), np.broadcast_to(area, count).astype(f),
+        np.full(count, closed), np.full(count, scattered), none, none, none, np.zeros(count, bool),
     )  # fmt: skip
 
 

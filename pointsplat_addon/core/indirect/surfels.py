@@ -24,7 +24,7 @@ class Surfels:
     albedo: np.ndarray  # (N, 3) float32: share of the light that falls on it which it scatters
     emission: np.ndarray  # (N, 3) float32: radiance
     # (N, 3) float32: one side of the rectangle that it is, or of the triangle, from whose right angle the other one
-    # lies on the left, seen from before; (0, 0, 0): any shape of about equal width
+    # lies on the left, seen from before; (0, 0, 0): any shape of about equal width. Of hairs the way they run
     edge: np.ndarray
     half: np.ndarray  # (N,) bool: it is a triangle, half of a rectangle
     # (N,) bool: it stands for captured splats (core/indirect/captured.py), on which light falls only where they scatter
@@ -40,6 +40,11 @@ class Surfels:
         """Returns the surfels `rows`, in their order."""
         captured, raised = (None if of is None else of[rows] for of in (self.captured, self.raised))
         return Surfels(self.origin, *(getattr(self, name)[rows] for name in ARRAYS), captured=captured, raised=raised)
+
+    @property
+    def hairs(self) -> np.ndarray:
+        """(N,) bool: pieces of hairs."""
+        return self.scattered & ~self.normal.any(axis=1)
 
     @property
     def receiving(self) -> np.ndarray:

@@ -36,9 +36,15 @@ class LightTree:
     axis: (
         np.ndarray
     )  # (M, 3) float32, unit, to the side that `facing` is on: largest eigenvector of the mean of normals' products
-    along: np.ndarray  # (M,) float32: 1 where all normals lie along the axis, 0 where they are turned evenly
+    # (M,) float32: 1 where all normals lie along the axis, 0 where they are turned evenly; of hairs alone, which have
+    # no normals, both are of the ways they run
+    along: np.ndarray
     thickness: np.ndarray  # (M,) float32: how far along the axis, either way, all its surfels' disks lie at most
     scattered: np.ndarray  # (M,) float32: share of the area that belongs to leaves and hairs
+    # (M,) bool: all its surfels are turned to every side, as balls and hairs; None: of no node
+    round: np.ndarray | None
+    # (M,) bool: most of the area belongs to leaves and hairs that are closed; None: of no node
+    solid: np.ndarray | None
     captured: np.ndarray | None  # (M,) bool: most of the area belongs to captured splats; None: of no node
     # (M,) bool: most of the area emits light; None: of no node, or there are captured splats
     shining: np.ndarray | None
@@ -125,6 +131,13 @@ def _columns(surfels: Surfels, order: np.ndarray) -> np.ndarray:
     found[POSITION], found[NORMAL], found[SCATTERED] = surfels.position[order].T, normal, surfels.scattered[order]
     for row, (a, b) in enumerate(PAIRS, PRODUCTS.start):
         found[row] = normal[a] * normal[b]
+    hairs = np.flatnonzero(surfels.hairs[order])
+    if len(hairs):
+        # Normals of tubes lie evenly around them.
+        run = surfels.edge[order[hairs]].T.astype(np.float64)
+        run /= np.maximum(np.sqrt(dot(run, run)), 1e-300)
+        for row, (a, b) in enumerate(PAIRS, PRODUCTS.start):
+            found[row, hairs] = 0.5 * ((a == b) - run[a] * run[b])
     found *= area
     return found
 
@@ -177,14 +190,20 @@ def _placed(
     axis[2, length == 0] = 1
     several = np.flatnonzero(held != 1)
     axis[:, several], along[several] = _axes(means[PRODUCTS].take(several, axis=1))
+    flat = surfels.normal.any(axis=1)
+    round_ones = None if flat.all() else _held(flat, surfels, leaf, placed, area) == 0
+    hairs = np.flatnonzero(round_ones & (means[SCATTERED] > 0.5)) if round_ones is not None else leaf[:0]
+    if len(hairs):
+        of = means[PRODUCTS].take(hairs, axis=1)
+        axis[:, hairs], along[hairs] = _axes(np.concatenate([of[:3].sum(axis=0) - 2 * of[:3], -2 * of[3:]]))
     axis *= np.where(dot(axis, means[NORMAL]) < 0, -1, 1)
     turned = np.zeros(size, bool)
     for nodes, count, children in placed:
         turned[children] = dot(axis[:, children], np.repeat(axis[:, nodes], count, axis=1)) < 0
     radii, position = radii[number], means[POSITION]
-    flat = np.zeros(size, bool)
-    flat[leaf] = surfels.normal.any(axis=1)
-    thickness = np.where(flat & (held == 1), 0.0, radii)
+    of_flat = np.zeros(size, bool)
+    of_flat[leaf] = flat
+    thickness = np.where(of_flat & (held == 1), 0.0, radii)
     for nodes, count, children in placed:
         of_parent = np.repeat(axis[:, nodes], count, axis=1)
         away = np.abs(dot(position[:, children] - np.repeat(position[:, nodes], count, axis=1), of_parent))
@@ -192,7 +211,9 @@ def _placed(
         reach = thickness[children] * tilted + radii[children] * np.sqrt(1 - tilted * tilted)
         highest = np.maximum.reduceat(away + np.minimum(reach, radii[children]), starts(count))
         thickness[nodes] = np.minimum(highest, radii[nodes])
-    captured = shining = None
+    captured = shining = solid = None
+    if (bodies := surfels.scattered & surfels.closed).any():
+        solid = _mostly(bodies, surfels, leaf, placed, area)
     if surfels.captured is not None:
         captured = _mostly(surfels.captured, surfels, leaf, placed, area)
         area = _areas_seen(surfels, leaf, placed, captured, area, position)
@@ -202,6 +223,7 @@ def _placed(
     half = np.zeros(size, bool)
     edge[leaf], half[leaf] = surfels.edge, surfels.half
     edge[held > 1] = 0
+    edge[hairs] = 0
     return LightTree(
         position=means[POSITION].T.astype(f),
         radius=radii.astype(f),
@@ -211,6 +233,8 @@ def _placed(
         along=along.astype(f),
         thickness=thickness.astype(f),
         scattered=means[SCATTERED].astype(f),
+        round=round_ones,
+        solid=solid,
         captured=captured,
         shining=shining,
         first=first,
@@ -232,10 +256,21 @@ def _mostly(
 ) -> np.ndarray:
     """(M,) bool: nodes most of whose area, (M,), belongs to surfels of a kind, (N,) bool. `leaf`, `levels`: as of
     LightTree."""
+    return _held(which, surfels, leaf, levels, area) > 0.5 * area
+
+
+def _held(
+    which: np.ndarray,
+    surfels: Surfels,
+    leaf: np.ndarray,
+    levels: list[tuple[np.ndarray, np.ndarray, slice]],
+    area: np.ndarray,
+) -> np.ndarray:
+    """(M,): the area in nodes that belongs to surfels of a kind, as _mostly."""
     held = np.bincount(leaf, surfels.area * which, len(area))
     for nodes, count, children in levels:
         held[nodes] = np.add.reduceat(held[children], starts(count))
-    return held > 0.5 * area
+    return held
 
 
 def _areas_seen(

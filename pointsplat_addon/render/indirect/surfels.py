@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...core.indirect.captured import captured_surfels
-from ...core.indirect.closed import is_closed
+from ...core.indirect.closed import is_closed, is_solid
 from ...core.indirect.sampling import LightSamples, light_samples
 from ...core.indirect.sheets import WIDE, Sheets, sheets
 from ...core.indirect.surfels import Surfels, joined
@@ -34,6 +34,9 @@ FEWEST_IN_FOLIAGE = 2000  # triangles: with fewer, open edges are those of floor
 DEFAULT_RADIUS = 0.01  # of points without one, as in Blender
 BLOCK = 1 << 18  # points of a cloud whose places are known at once: scans would double in memory
 MOST_IN_SHEETS = 1 << 18  # balls of a cloud by which its sheets are found
+# How many times as many pieces of hairs there are as squares of what they show would be: one that stands for many
+# others is a lump, beside which light passes.
+FINER_HAIRS = 6
 MANY_INSTANCES = 16  # of a geometry, from which on they share samples
 
 
@@ -110,7 +113,8 @@ def _surfels(
         leaves = len(mesh.triangles) * len(matrices) >= FEWEST_IN_FOLIAGE and store.lookup(
             Key(Kind.IS_FOLIAGE, mesh.key), lambda: is_foliage(mesh.position, mesh.triangles)
         )
-        kind = closed, leaves and not closed
+        solid = leaves and not closed and store.lookup(Key(Kind.IS_SOLID, mesh.key), lambda: is_solid(mesh))
+        kind = closed or solid, leaves and not closed
         if len(matrices) < MANY_INSTANCES:
             shown = (shown_by(mesh, scene.instances, row) for row in rows.tolist())
             each = zip(shown, matrices, spacings, strict=True)
@@ -258,7 +262,7 @@ def _of_sheets(made: Sheets) -> Surfels:
 
 
 def _of_strands(strands: Strands, table: MaterialTable, matrix: np.ndarray, spacing: Spacing) -> Surfels:
-    """The surfels of strands: pieces of tubes, turned to all sides."""
+    """The surfels of strands: pieces of tubes."""
     ends = np.ones(len(strands.position), bool)
     ends[strands.start[1:] - 1] = False
     first = np.flatnonzero(ends)
@@ -269,7 +273,7 @@ def _of_strands(strands: Strands, table: MaterialTable, matrix: np.ndarray, spac
     middle = 0.5 * (a + b)
     apart, _ = spacing((middle @ matrix[:3, :3].T + matrix[:3, 3]).T)
     scale = float(_scale(matrix))
-    worth = np.minimum(area / 4 * scale**2 / apart**2, 1.0)
+    worth = np.minimum(FINER_HAIRS * area / 4 * scale**2 / apart**2, 1.0)
     total = np.cumsum(worth)
     if len(total) == 0 or not total[-1] > 0:
         return _none()
@@ -291,7 +295,7 @@ def _of_strands(strands: Strands, table: MaterialTable, matrix: np.ndarray, spac
         np.ones(count, bool),
         albedo,
         emission,
-        np.zeros((count, 3), np.float32),
+        ((b - a) / np.maximum(length, 1e-300)[:, None])[rows].astype(np.float32),
         np.zeros(count, bool),
     )
     return _moved(local, matrix[None])

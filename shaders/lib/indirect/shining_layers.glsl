@@ -23,7 +23,7 @@ float ps_cover_quarters(int i, vec2 low, vec2 high, float whole, float kept, PsS
   ps_plane[i] = begins ? seen.plane : next ? vec3(0.0) : plane;
   ps_earlier[i] = earlier;
   vec4 room = 1.0 - quarters;
-  wanted = look.scattered ? (1.0 - exp(-wanted)) * room : wanted * (1.0 - earlier);
+  wanted = look.scattered ? (seen.single ? min(wanted, 1.0) : 1.0 - exp(-wanted)) * room : wanted * (1.0 - earlier);
   vec4 got = min(wanted, room);
   // What finds its own quarters covered covers the others.
   float rest = dot(wanted - got, vec4(1.0)), gaps = dot(room - got, vec4(1.0));

@@ -9,13 +9,15 @@
 #define PS_IS_CAPTURED (1 << 22)
 #define PS_IS_SHINING (1 << 23)
 
+#define PS_EVEN_HAIRS 0.38314993  // 1 - (pi / 4)^2
+
 struct PsNode {
   vec3 position;
   float radius;  // of a ball that holds it
   float area;
   int first;  // child; < 0: a leaf
   int bits;
-  float axis;
+  float axis;  // of hairs along which most of them run
 };
 
 struct PsNodeLook {
@@ -23,6 +25,7 @@ struct PsNodeLook {
   vec3 axis;  // along which most normals lie
   float along;  // how far they do
   bool scattered;  // leaves or hairs, and no surface
+  bool solid;  // leaves and hairs that are bodies: all that goes in at a front leaves at a back
 #ifdef PS_CAPTURED
   bool captured;  // captured splats
 #endif
@@ -49,10 +52,29 @@ vec3 ps_unpack_radiance(vec2 codes)
   return steps * exp2(exponent - 1036.0);
 }
 
-// How far normals lie along the axis.
-float ps_along(PsNode node)
+bool ps_is_hairs(PsNode node)
+{
+  return (node.bits & (PS_IS_SCATTERED | PS_IS_ROUND)) == (PS_IS_SCATTERED | PS_IS_ROUND);
+}
+
+// How far normals lie along the axis, or hairs run along it.
+float ps_along_axis(PsNode node)
 {
   return float(node.bits >> 9 & 63) / 63.0;
+}
+
+// How far normals lie along the axis; hairs have none.
+float ps_along(PsNode node)
+{
+  return ps_is_hairs(node) ? 0.0 : ps_along_axis(node);
+}
+
+// What hairs show of their surface, over half of it, from a direction with this cosine to their axis: a tube 2 / pi times the sine,
+// and as many that run all ways a half.
+float ps_shown_of_hairs(PsNode node, float cosine)
+{
+  float along = ps_along_axis(node);
+  return 2.0 / PS_PI * sqrt(max(1.0 - along * cosine * cosine - (1.0 - along) * PS_EVEN_HAIRS, 0.0));
 }
 
 // How far it reaches along the axis at most, either way, over its radius.
@@ -66,10 +88,11 @@ PsNodeLook ps_node_look(int number, PsNode node)
   ivec2 at = ps_node_texel(number);
   vec4 a = texelFetch(ps_nodes, at + ivec2(2, 0), 0), b = texelFetch(ps_nodes, at + ivec2(3, 0), 0);
   PsNodeLook look;
-  look.facing = ps_unpack_normal(a.x) * a.y;
+  look.facing = ps_unpack_normal(a.x) * abs(a.y);
   look.axis = ps_unpack_normal(node.axis);
   look.along = ps_along(node);
   look.scattered = (node.bits & PS_IS_SCATTERED) != 0;
+  look.solid = a.y < 0.0;
 #ifdef PS_CAPTURED
   look.captured = (node.bits & PS_IS_CAPTURED) != 0;
 #endif

@@ -9,6 +9,7 @@
 #define PS_LEAST_ROUGHNESS 0.08
 #define PS_LEAST_VARIANCE 1e-3
 #define PS_DARKEST 1e-6
+#define PS_TYPICAL 0.8165  // cosine about the axis from the middle of what is seen of a cylinder: the root of its mean square
 
 #if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT) || defined(PS_INDIRECT)
 
@@ -272,7 +273,21 @@ vec3 ps_shade_strand(vec3 position, vec3 tangent, vec3 to_eye, PsSurface surface
   }
 #endif
   vec3 facing = normalize(strand.across + 1e-9 * to_eye);
-  result += ps_world_around(facing) * strand.before + ps_world_around(-facing) * strand.behind;
+#if defined(PS_INDIRECT) && !defined(PS_TERM_OCCLUSION)
+  // Of a cylinder what falls on it, and what it mirrors, is known as the mean over its width.
+  for (int i = 0; i < (strand.spread < 0.0 ? 1 : 0); i++) {
+    vec3 typical = PS_TYPICAL * facing + sqrt(1.0 - PS_TYPICAL * PS_TYPICAL) * cross(tangent, facing);
+    PsLobes lobes = ps_lobes(surface, typical, typical, to_eye);
+#ifdef PS_TERM
+    ps_keep_term(lobes);
+#endif
+    result += ps_shade_world(lobes);
+  }
+  float whole = strand.spread < 0.0 ? 0.0 : 1.0;
+#else
+  const float whole = 1.0;
+#endif
+  result += whole * (ps_world_around(facing) * strand.before + ps_world_around(-facing) * strand.behind);
 #endif
 #endif
   return result;

@@ -7,18 +7,8 @@ import pytest
 
 from pointsplat_addon.core.indirect.sheets import sheets
 from pointsplat_addon.core.indirect.surfels import Surfels, joined
-from pointsplat_addon.core.indirect.tree import build_tree
-from pointsplat_addon.core.light.light_table import light_texture
-from pointsplat_addon.core.scene.world import World
-from pointsplat_addon.render.passes.indirect.gather import GATHER_BLOCK, Gather, gather_program
-from pointsplat_addon.render.passes.indirect.pages import (
-    NODE_WIDTH,
-    node_rows,
-    packed_radiance,
-    paged_texture,
-    receiver_texture,
-)
-from scripts.scenes import drawing
+from pointsplat_addon.render.passes.indirect.pages import packed_radiance
+from tests.support.gathering import gathered
 from tests.support.surfels import UP, ball, surfels_of
 
 
@@ -35,37 +25,6 @@ def wall(cells: int, axis: int, sign: float, outward: float = -1.0) -> Surfels:
 
 def room(cells: int, outward: float = -1.0) -> Surfels:
     return joined([wall(cells, axis, sign, outward) for axis in range(3) for sign in (1.0, -1.0)])
-
-
-def gathered(
-    surfels: Surfels,
-    radiance: np.ndarray,
-    position: np.ndarray,
-    normal: np.ndarray,
-    sky: float = 0.0,
-    coarseness: float = 1.0,
-    inside: float = 1.0,
-    shining: bool = False,
-) -> np.ndarray:
-    """(N,): irradiance over pi at places with normals (N, 3); radiance: of surfels, (n,), and of their other sides
-    `inside` times as much. `shining`: by the variant for scenes in which something emits light."""
-    device = drawing.opengl().device
-    tree = build_tree(surfels)
-    sides = np.repeat(radiance[:, None], 3, axis=1)
-    nodes = paged_texture(device, node_rows(tree, tree.radiance(surfels, sides, inside * sides)), NODE_WIDTH)
-    rows = light_texture((), World(np.full(3, sky)), np.eye(4))
-    lights = device.texture((rows.shape[1], rows.shape[0]), "RGBA32F", rows.reshape(-1))
-    normal = np.broadcast_to(normal, position.shape)
-    receivers = receiver_texture(device, position, normal, normal, np.ones(len(position)))
-    record = GATHER_BLOCK.record(root=len(tree) - 1, coarseness=coarseness, sky=1.0)
-    world, textures = (("PS_HAS_WORLD",), {"ps_lights": lights}) if sky else ((), {})
-    found = Gather(
-        device, receivers, gather_program(world, glossy=False, shining=shining), record, {"ps_nodes": nodes, **textures}
-    )
-    result = device.read(found.diffuse).reshape(-1, 4)[: len(position), 0].astype(float)
-    for item in (found, receivers, lights, nodes):
-        item.release()
-    return result
 
 
 def along(count: int, far: float) -> tuple[np.ndarray, np.ndarray]:
@@ -201,7 +160,7 @@ def test_leaves_let_light_through_as_if_by_chance(depth, count, off):
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     # Half of what leaves have is seen.
     area = 2 * depth * (2 * half) ** 2 / count
-    leaves = surfels_of(place, normal, np.array(area), scattered=True)
+    leaves = surfels_of(place, normal, np.array(area), scattered=True, closed=False)
     receivers = np.column_stack([rng.uniform(-2, 2, (64, 2)), np.zeros(64)])
     found = gathered(leaves, np.zeros(count), receivers, UP, 1.0).mean()
     nodes, weights = np.polynomial.legendre.leggauss(200)

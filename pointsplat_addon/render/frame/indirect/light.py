@@ -33,6 +33,10 @@ RIM = 0.4  # cosine to the eye below which what mirrors gathers, as that changes
 SHARPER = 3.0  # than which a lobe is that does; wider ones, as of grass, change as slowly as what falls on a surface
 MIRRORS, ROUGHNESSES = 48, 64  # steps of mirrored views, each way of an octahedron, and of roughness
 NOT_KNOWN = (None, None)
+MATTE_FIBRE = -4.0  # in place of the roughness of fibres, which mirror nothing; others have -2 less theirs
+# Places across a fibre, over half its width, and their weights (Gauss and Legendre).
+ACROSS = (0.0, 8 / 18), (0.6**0.5, 5 / 18), (-(0.6**0.5), 5 / 18)
+WHOLE = 0.0, 1.0
 SHARPEST = 24.0  # of a glossy lobe that the cells of a hemisphere resolve
 
 
@@ -87,7 +91,7 @@ class GroupsInIndirectLight:
         held = "ps_places", "ps_ups", *(() if mirrors is None else ("rays",))
         place, up, *rays = (device.read(lists.textures[name]).reshape(-1, 4)[:count] for name in held)
         if self._light.occlusion:
-            up[:, 3] = -1  # nothing is mirrored
+            up[:, 3] = np.where(is_fibre(up[:, 3]), MATTE_FIBRE, -1)  # nothing is mirrored
         eye = view.world_from_view[:3, 3] - self._light.origin
         to_eye = directions_to_eye(view, place[:, :3])
         groups = Groups(eye, place[:, :3] + eye, up[:, :3], place[:, 3], entries[:, 0].astype(np.int64))
@@ -200,22 +204,34 @@ class GroupsInIndirectLight:
         sole = sole_groups(groups, view) if directly else None
         known = Known(groups.position.astype(np.float32), groups.normal)
         rim = (up[:, 3] >= 0) & ((up[:, :3] * to_eye).sum(axis=1) < RIM) & (lobe_sharpness(up[:, 3]) > SHARPER)
-        scattered = scattered_cells(groups, chosen if directly else chosen.none)
+        fibres = is_fibre(up[:, 3])
+        sharing = chosen if directly else chosen.none
+        # Of fibres all share what is gathered in a cell: it tells what falls on them from all sides.
+        of_fibres = fibres[sharing.rows]
+        scattered = [(scattered_cells(groups, sharing.without_tiles(~of_fibres)), ~fibres)]
+        if of_fibres.any():
+            scattered.append((scattered_cells(groups, sharing.without_tiles(of_fibres), every=True), fibres))
         for side in SIDES:
             fewest = side * side // FEWEST_SHARE
             wanted = chosen if side == TILE else choose_receivers(groups, view, side, fewest, False)
             found, valid = known.interpolated(wanted.rows, wanted.pixels)
             level = wanted.level + WIDER - np.log2(side / TILE)
-            turned = ~valid & scattered.hold(groups.position[wanted.rows], level)
-            alone = ~valid & ~turned
+            turned = [
+                ~valid & kind[wanted.rows] & cells.hold(groups.position[wanted.rows], level)
+                for cells, kind in scattered
+            ]
+            alone = ~valid & ~np.logical_or.reduce(turned)
             found[alone] = self._gathered_by(groups, wanted, alone, view, sole, to_eye, up)
             if side > TILE:
                 known.add(wanted, side, found, alone)
             else:
-                found[turned] = self._gathered_around(groups, wanted, turned, scattered, to_eye, up)
+                for some, (cells, _) in zip(turned, scattered, strict=True):
+                    found[some] = self._gathered_around(groups, wanted, some, cells, to_eye, up)
                 # Of lobes alone: what falls on a surface is the same in a picture of a term that has none.
                 lobes = valid & rim[wanted.rows]
                 found[lobes, 4:] = self._gathered_by(groups, wanted, lobes, view, sole, to_eye, up)[:, 4:]
+        lone = fibres[chosen.rows] & ~np.logical_or.reduce(turned)
+        found[lone, 4:7], found[lone, 7] = found[lone, :3], 0
         return found
 
     def _gathered_by(
@@ -253,11 +269,18 @@ class GroupsInIndirectLight:
         )
         position, normal = groups.position[rows], groups.normal[rows].astype(np.float64)
         moments = scattered.between(position, wanted.level[some] + WIDER, moments)
-        found[:, :3] = irradiance(moments, normal)
-        smooth = up[rows, 3] >= 0
-        mirror = 2 * (normal * to_eye[rows]).sum(axis=1, keepdims=True) * normal - to_eye[rows]
-        found[smooth, 4:] = lobes(moments[smooth], mirror[smooth], lobe_sharpness(up[rows[smooth], 3]))
-        light.remember(LightAt(position, normal, wanted.level[some], found, smooth))
+        eye, roughness, fibre = to_eye[rows].astype(np.float64), up[rows, 3], is_fibre(up[rows, 3])
+        smooth = (roughness >= 0) | (fibre & (roughness > MATTE_FIBRE))
+        sharpness = lobe_sharpness(np.where(fibre, -2 - roughness, roughness)[smooth])
+        beside = np.cross(normal, eye - (normal * eye).sum(axis=1, keepdims=True) * normal)
+        beside *= fibre[:, None] / np.maximum(np.linalg.norm(beside, axis=1, keepdims=True), 1e-4)
+        for at, weight in ACROSS if fibre.any() else (WHOLE,):
+            # Of fibres the mean over their width.
+            turned = np.where(fibre[:, None], (1 - at * at) ** 0.5, 1.0) * normal + at * beside
+            mirror = 2 * (turned * eye).sum(axis=1, keepdims=True) * turned - eye
+            found[:, :3] += weight * irradiance(moments, turned)
+            found[smooth, 4:] += weight * lobes(moments[smooth], mirror[smooth], sharpness)
+        light.remember(LightAt(position, normal, wanted.level[some], found, smooth & ~fibre))
         return found
 
     def _estimated(self, groups: Groups, up: np.ndarray, chosen: Receivers) -> np.ndarray:
@@ -267,6 +290,8 @@ class GroupsInIndirectLight:
             return np.zeros((len(rows), 8), np.float32)
         found = around.estimated(groups.position[rows], groups.normal[rows], chosen.level)
         found[up[rows, 3] < 0, 4:] = 0
+        fibre = is_fibre(up[rows, 3])
+        found[fibre, 4:7] = found[fibre, :3]
         return found
 
     def _gathered(self, at: Sites, level: np.ndarray, to_eye: np.ndarray, roughness: np.ndarray) -> np.ndarray:
@@ -349,6 +374,11 @@ class GroupsInIndirectLight:
 
     def release(self) -> None:
         self._release_lists()
+
+
+def is_fibre(roughness: np.ndarray) -> np.ndarray:
+    """(N,) bool: which groups are fibres, strands that are seen as a whole, by what stands for their roughness."""
+    return roughness < -1.5
 
 
 def lobe_sharpness(roughness: np.ndarray) -> np.ndarray:

@@ -38,6 +38,10 @@ class Receivers:
         """None of them."""
         return Receivers(self.rows[:0], self.pixels[:0], self.level[:0], np.zeros_like(self.tiles))
 
+    def without_tiles(self, which: np.ndarray) -> Receivers:
+        """Returns some of them, (R,) bool, without telling in which tiles they are."""
+        return Receivers(self.rows[which], self.pixels[which], self.level[which], np.zeros_like(self.tiles))
+
 
 @record
 class Groups:

@@ -52,8 +52,8 @@ class Scattered:
         return np.where(self.key[at] == key, at, -1)
 
 
-def scattered_cells(groups: Groups, chosen: Receivers) -> Scattered:
-    """Returns the cells in which the finest receivers are turned all ways."""
+def scattered_cells(groups: Groups, chosen: Receivers, every: bool = False) -> Scattered:
+    """Returns the cells in which the finest receivers are turned all ways; `every`: those in which some are."""
     position, normal = groups.position[chosen.rows], groups.normal[chosen.rows]
     level = chosen.level + WIDER
     keys = hashed(np.column_stack([level, cells(position, level)[0]]))
@@ -63,7 +63,7 @@ def scattered_cells(groups: Groups, chosen: Receivers) -> Scattered:
     finest = hashed(np.column_stack([chosen.level, cells(position, chosen.level)[0]]))
     fine = own[np.unique(finest, return_index=True)[1]]
     crowded = count >= np.maximum(CROWDED * np.bincount(fine, minlength=len(unique)), FEWEST)
-    rows = np.flatnonzero(crowded & (np.bincount(ways, minlength=len(unique)) >= WAYS))
+    rows = np.flatnonzero(every | crowded & (np.bincount(ways, minlength=len(unique)) >= WAYS))
     mean, up = (
         np.stack([np.bincount(own, column, len(unique))[rows] / count[rows] for column in of.T], axis=1)
         for of in (position.astype(np.float64), normal)

@@ -18,6 +18,7 @@ MANTISSA = 4096  # steps of radiance below the largest of its channels' power of
 ROUND = 2.0**21  # the bit of nodes whose surfels are all balls
 CAPTURED = 2.0**22  # and of nodes that hold mostly captured splats
 SHINING = 2.0**23  # and of those that mostly emit light
+LEAST_LENGTH = 1e-12  # of `facing`, where it has a sign
 EXPONENTS = 1024  # half the range of exponents
 
 
@@ -29,7 +30,8 @@ def node_rows(tree: LightTree, radiance: np.ndarray) -> np.ndarray:
              whether it is scattered, 1 bit, how far normals lie along the axis and how thick it is along that over
              its radius, 6 bits each, whether it holds balls alone, captured splats, and what emits light, 1
              bit each; the axis
-          2  direction and length of `facing`; radiance before, in two numbers
+          2  direction and length of `facing`, which is less than 0 where leaves or hairs are bodies; radiance before,
+             in two numbers
           3  radiance behind and inside, in two numbers each
     """
     return with_radiance(node_shapes(tree), radiance)
@@ -52,18 +54,19 @@ def node_shapes(tree: LightTree) -> np.ndarray:
     found[leaves, 5] -= _edge_codes(tree, leaves)
     thickness = np.ceil(LEVELS * np.minimum(tree.thickness / tree.radius * (1 + 1e-6), 1.0))
     found[:, 6] = (
-        tree.octants
-        + 256.0 * (tree.scattered > 0.5)
-        + 512.0 * np.rint(LEVELS * tree.along)
-        + 32768.0 * thickness
-        + ROUND * ~tree.facing.any(axis=1)
+        tree.octants + 256.0 * (tree.scattered > 0.5) + 512.0 * np.rint(LEVELS * tree.along) + 32768.0 * thickness
     )
+    # Leaves of two sheets may face no side either, but hairs are only what has no normals.
+    of_hairs = np.zeros(len(tree), bool) if tree.round is None else tree.round
+    found[:, 6] += ROUND * (~tree.facing.any(axis=1) & (of_hairs | (tree.scattered <= 0.5)))
     if tree.captured is not None:
         found[:, 6] += CAPTURED * tree.captured
     if tree.shining is not None:
         found[:, 6] += SHINING * tree.shining
     found[:, 7], found[:, 8] = octahedral(tree.axis), octahedral(tree.facing)
     found[:, 9] = np.sqrt((tree.facing**2).sum(axis=1))
+    if tree.solid is not None:
+        found[tree.solid, 9] = -np.maximum(found[tree.solid, 9], LEAST_LENGTH)
     return found
 
 
