@@ -17,8 +17,8 @@ class Errors:
 
     Where samples have the variance v, the means of all n and of the first m differ by v (1 / m - 1 / n), and the
     former lies v / n from the limit: that is m / (n - m) of the difference. Samples that are spread evenly do better
-    (EVENLY), but on edges, which are what is left, not by much. What all pixels have in common is one number, and its
-    difference may be nothing by chance: the largest of the last checkpoints' counts.
+    (EVENLY), but on edges, which are what is left, not by much. What all pixels of a quarter of the picture have in
+    common is one number, and its difference may be nothing by chance: the largest of the last checkpoints' counts.
     """
 
     def __init__(self) -> None:
@@ -38,11 +38,11 @@ class Errors:
             moved, common = [], []
             for m, before in earlier:
                 difference = (mean - before)[..., :3].astype(np.float64) * np.sqrt(m / (n - m))
-                common.append(difference.mean(axis=(0, 1)))
+                common.append(_quarter_means(difference))
                 moved.append(difference - common[-1])
             counts = frame.counts()
             fresh = np.broadcast_to(np.asarray(counts) > self._counted, (*mean.shape[:2], 1))[..., 0]
-            squares = (moved[-1] ** 2).mean(axis=-1) + np.square(common).mean(axis=-1).max()
+            squares = (moved[-1] ** 2).mean(axis=-1) + np.square(common).mean(axis=-1).max(axis=0)
             self._squares = squares if self._squares is None else np.where(fresh, squares, self._squares)
             self._counted, self._unseen = counts, missed_edge_error(mean, counts, frame.in_focus())
         if is_checkpoint(n):
@@ -60,6 +60,17 @@ class Errors:
     def rmse(self) -> float:
         """Root mean square over pixels and colours, scene-linear; infinite where nothing is known yet."""
         return float(np.sqrt(self.squares.mean()))
+
+
+def _quarter_means(values: np.ndarray) -> np.ndarray:
+    """(H, W, C): the means over the quarters of a picture (H, W, C)."""
+    found = np.empty_like(values)
+    top, left = (-(-side // 2) for side in values.shape[:2])
+    for rows in (slice(top), slice(top, None)):
+        for columns in (slice(left), slice(left, None)):
+            quarter = values[rows, columns]
+            found[rows, columns] = quarter.sum(axis=(0, 1)) / max(quarter[..., 0].size, 1)
+    return found
 
 
 def missed_edge_error(mean: np.ndarray, samples: np.ndarray | int, in_focus: np.ndarray | None = None) -> np.ndarray:
