@@ -17,8 +17,9 @@ class Errors:
 
     Where samples have the variance v, the means of all n and of the first m differ by v (1 / m - 1 / n), and the
     former lies v / n from the limit: that is m / (n - m) of the difference. Samples that are spread evenly do better
-    (EVENLY), but on edges, which are what is left, not by much. What all pixels of a quarter of the picture have in
-    common is one number, and its difference may be nothing by chance: the largest of the last checkpoints' counts.
+    (EVENLY), but on edges, which are what is left, not by much. What all pixels have in common is one number, and its
+    difference may be nothing by chance: the largest of the last checkpoints' counts. So does what the pixels of each
+    quarter of the picture have in common, where that is most of the difference.
     """
 
     def __init__(self) -> None:
@@ -38,7 +39,7 @@ class Errors:
             moved, common = [], []
             for m, before in earlier:
                 difference = (mean - before)[..., :3].astype(np.float64) * np.sqrt(m / (n - m))
-                common.append(_quarter_means(difference))
+                common.append(_in_common(difference))
                 moved.append(difference - common[-1])
             counts = frame.counts()
             fresh = np.broadcast_to(np.asarray(counts) > self._counted, (*mean.shape[:2], 1))[..., 0]
@@ -62,15 +63,17 @@ class Errors:
         return float(np.sqrt(self.squares.mean()))
 
 
-def _quarter_means(values: np.ndarray) -> np.ndarray:
-    """(H, W, C): the means over the quarters of a picture (H, W, C)."""
-    found = np.empty_like(values)
+def _in_common(values: np.ndarray) -> np.ndarray:
+    """(H, W, C): what pixels of a picture (H, W, C) have in common: the means over its quarters, if these are most of
+    it, or else the mean."""
+    quarters = np.empty_like(values)
     top, left = (-(-side // 2) for side in values.shape[:2])
     for rows in (slice(top), slice(top, None)):
         for columns in (slice(left), slice(left, None)):
             quarter = values[rows, columns]
-            found[rows, columns] = quarter.sum(axis=(0, 1)) / max(quarter[..., 0].size, 1)
-    return found
+            quarters[rows, columns] = quarter.sum(axis=(0, 1)) / max(quarter[..., 0].size, 1)
+    few = np.square(quarters).sum() > 0.5 * np.square(values).sum()
+    return quarters if few else np.broadcast_to(values.mean(axis=(0, 1)), values.shape)
 
 
 def missed_edge_error(mean: np.ndarray, samples: np.ndarray | int, in_focus: np.ndarray | None = None) -> np.ndarray:

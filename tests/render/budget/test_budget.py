@@ -199,7 +199,7 @@ def under_wide_lamps(case: Case) -> Case:
 @pytest.mark.parametrize("name", SHOWN)
 def test_the_estimate_is_within_a_factor_of_two(name, monkeypatch):
     found = ratios(CASES[name](), monkeypatch)
-    assert all(0.5 < ratio < 2.0 for ratio in found)  # measured 0.61 (strands) and 1.82 (smoke)
+    assert all(0.5 < ratio < 2.0 for ratio in found)  # measured 0.53 (panes) and 1.87 (captured)
 
 
 @pytest.mark.parametrize("name", LENSES)
@@ -223,7 +223,7 @@ def test_the_estimate_sees_the_shadows_of_wide_lamps(name, monkeypatch):
 
 def test_an_error_that_is_one_number_is_not_taken_for_less(monkeypatch):
     """A camera in smoke under one wide lamp: all of the picture is too bright or too dark, and now and then right."""
-    assert min(ratios(under_wide_lamps(CASES["in_smoke"]()), monkeypatch)) > 0.5  # measured 0.53
+    assert min(ratios(under_wide_lamps(CASES["in_smoke"]()), monkeypatch)) > 0.5  # measured 0.82
 
 
 @pytest.mark.parametrize("number", range(4))
