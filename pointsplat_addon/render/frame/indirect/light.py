@@ -274,9 +274,9 @@ class GroupsInIndirectLight:
         sharpness = lobe_sharpness(np.where(fibre, -2 - roughness, roughness)[smooth])
         beside = np.cross(normal, eye - (normal * eye).sum(axis=1, keepdims=True) * normal)
         beside *= fibre[:, None] / np.maximum(np.linalg.norm(beside, axis=1, keepdims=True), 1e-4)
-        for at, weight in ACROSS if fibre.any() else (WHOLE,):
+        for across, weight in ACROSS if fibre.any() else (WHOLE,):
             # Of fibres the mean over their width.
-            turned = np.where(fibre[:, None], (1 - at * at) ** 0.5, 1.0) * normal + at * beside
+            turned = np.where(fibre[:, None], (1 - across * across) ** 0.5, 1.0) * normal + across * beside
             mirror = 2 * (turned * eye).sum(axis=1, keepdims=True) * turned - eye
             found[:, :3] += weight * irradiance(moments, turned)
             found[smooth, 4:] += weight * lobes(moments[smooth], mirror[smooth], sharpness)
