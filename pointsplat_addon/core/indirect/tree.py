@@ -191,7 +191,7 @@ def _placed(
     several = np.flatnonzero(held != 1)
     axis[:, several], along[several] = _axes(means[PRODUCTS].take(several, axis=1))
     flat = surfels.normal.any(axis=1)
-    round_ones = None if flat.all() else _held(flat, surfels, leaf, placed, area) == 0
+    round_ones = None if flat.all() else _held(flat, surfels, leaf, placed, size) == 0
     hairs = np.flatnonzero(round_ones & (means[SCATTERED] > 0.5)) if round_ones is not None else leaf[:0]
     if len(hairs):
         of = means[PRODUCTS].take(hairs, axis=1)
@@ -213,12 +213,12 @@ def _placed(
         thickness[nodes] = np.minimum(highest, radii[nodes])
     captured = shining = solid = None
     if (bodies := surfels.scattered & surfels.closed).any():
-        solid = _mostly(bodies, surfels, leaf, placed, area)
+        solid = _held(bodies, surfels, leaf, placed, size) > 0.5 * area
     if surfels.captured is not None:
-        captured = _mostly(surfels.captured, surfels, leaf, placed, area)
+        captured = _held(surfels.captured, surfels, leaf, placed, size) > 0.5 * area
         area = _areas_seen(surfels, leaf, placed, captured, area, position)
     elif (shines := surfels.emission.any(axis=1)).any():
-        shining = _mostly(shines, surfels, leaf, placed, area)
+        shining = _held(shines, surfels, leaf, placed, size) > 0.5 * area
     edge = np.zeros((size, 3), f)
     half = np.zeros(size, bool)
     edge[leaf], half[leaf] = surfels.edge, surfels.half
@@ -247,27 +247,15 @@ def _placed(
     )
 
 
-def _mostly(
-    which: np.ndarray,
-    surfels: Surfels,
-    leaf: np.ndarray,
-    levels: list[tuple[np.ndarray, np.ndarray, slice]],
-    area: np.ndarray,
-) -> np.ndarray:
-    """(M,) bool: nodes most of whose area, (M,), belongs to surfels of a kind, (N,) bool. `leaf`, `levels`: as of
-    LightTree."""
-    return _held(which, surfels, leaf, levels, area) > 0.5 * area
-
-
 def _held(
     which: np.ndarray,
     surfels: Surfels,
     leaf: np.ndarray,
     levels: list[tuple[np.ndarray, np.ndarray, slice]],
-    area: np.ndarray,
+    size: int,
 ) -> np.ndarray:
-    """(M,): the area in nodes that belongs to surfels of a kind, as _mostly."""
-    held = np.bincount(leaf, surfels.area * which, len(area))
+    """(M,): the area in nodes that belongs to surfels of a kind, (N,) bool. `leaf`, `levels`: as of LightTree."""
+    held = np.bincount(leaf, surfels.area * which, size)
     for nodes, count, children in levels:
         held[nodes] = np.add.reduceat(held[children], starts(count))
     return held

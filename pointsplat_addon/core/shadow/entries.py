@@ -14,13 +14,13 @@ from .grid import directions, plane_distance, slopes
 from .rows import HALF_EXTENT, WIDEST_DEVIATION, DistanceSpans, GridRows, distance_spans, level_of_splats
 
 LEAST_SHARE = 1 / 256  # of a row or column: below it, the nearer one takes all
-BLOCK_ENTRIES = 1 << 17  # entries that are dealt out to runs together, and
+BLOCK_ENTRIES = 1 << 17  # entries that are dealt out to runs together
 MERGED_ENTRIES = 1 << 20  # entries of smoke among which those next to each other become one
-EntryBlock = tuple[np.ndarray, np.ndarray, np.ndarray]  # what _entries returns
+EntryBlock = tuple[np.ndarray, np.ndarray, np.ndarray]  # what _splat_entries returns
 
 
 def entry_blocks(rows: GridRows, batches: Sequence[Casters], colored: bool) -> Iterator[EntryBlock]:
-    """The entries of all splats, in blocks of about DEALT."""
+    """The entries of all splats, in blocks of about BLOCK_ENTRIES."""
     parts, held = [], 0
     captured = sum(batch.opacity is not None for batch in batches)
     for batch in batches:
