@@ -15,6 +15,7 @@
 #define PS_SOFT_CELLS 8  // that receivers look at which look at few points; and of each,
 #define PS_SOFT_FEW 2  // points, where the light is hidden in part
 #define PS_SOFT_ALIKE 1e-4  // shares of a light that do not matter
+#define PS_SOFT_NARROW 0.25  // texels: rims of shadows that maps do not tell from sharp ones
 #define PS_SOFT_SPARSE vec2(0.05, 0.45)  // shares that strands hide, see ps_soft_sparse
 #define PS_SOFT_STEEPEST 0.05  // cosine: planes that a point of the light grazes more closely are treated as this one
 
@@ -137,8 +138,9 @@ PsSoftSight ps_soft_sight(PsSoftLight s, vec3 point, float pixel)
 }
 
 // Of four texels about a place in the view of a point of the light: x: the share that lets the light through; y, z: the sum
-// of the heights above the receiver of what does not, and its weight. moved: places from the receiver to the ray.
-vec3 ps_soft_tap(PsSoftLight s, PsSoftSight sight, vec2 shift, ivec2 tile, vec2 moved)
+// of the heights above the receiver of what does not, and its weight; w: the greatest of them. moved: places from the
+// receiver to the ray.
+vec4 ps_soft_tap(PsSoftLight s, PsSoftSight sight, vec2 shift, ivec2 tile, vec2 moved)
 {
   vec2 place = shift + s.frame.xy + s.frame.z * (sight.place + moved) - 0.5;
   vec2 low = floor(place), share = place - low;
@@ -153,7 +155,9 @@ vec3 ps_soft_tap(PsSoftLight s, PsSoftSight sight, vec2 shift, ivec2 tile, vec2 
   vec4 plane = dot(sight.slope, moved) + sight.bias + step.x * (right - share.x) + step.y * (up - share.y);
   vec4 weight = mix(vec4(1.0 - sharp.x), vec4(sharp.x), right) * mix(vec4(1.0 - sharp.y), vec4(sharp.y), up);
   vec4 hidden = s.ends.z < 0 ? vec4(0.0) : weight * vec4(greaterThan(height, plane));
-  return vec3(1.0 - dot(hidden, vec4(1.0)), dot(hidden, height), dot(hidden, vec4(1.0)));
+  vec4 above = mix(vec4(0.0), height, greaterThan(hidden, vec4(0.0)));
+  float greatest = max(max(above.x, above.y), max(above.z, above.w));
+  return vec4(1.0 - dot(hidden, vec4(1.0)), dot(hidden, height), dot(hidden, vec4(1.0)), greatest);
 }
 
 // How a cell's view sees the receiver, which is turned to that view where each has a face of its own. middle: of the cell, on
@@ -196,8 +200,13 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
   vec4 first = texelFetch(ps_map_lights, ivec2(PS_SOFT_SHAPE, light), 0);
   vec3 half_u = first.xyz, half_v = texelFetch(ps_map_lights, ivec2(PS_SOFT_SHAPE + 1, light), 0).xyz;
   PsSoftLight s;
+#if defined(PS_HAS_SUNS) && defined(PS_ONE_KIND)
+  s.cube = false;
+  s.parallel = true;
+#else
   s.cube = -head.x == PS_MAP_CUBE;
   s.parallel = -head.x == PS_MAP_PARALLEL;
+#endif
   s.flat_shape = !s.parallel && first.w < 0.5;
   s.turn = transpose(mat3(x.xyz, y.xyz, z.xyz));
   s.offset = vec3(x.w, y.w, z.w);
@@ -237,7 +246,7 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
   ps_soft_receive(s, position, normal);
 #endif
   vec3 sum = vec3(0.0);
-  float total = 0.0;
+  float total = 0.0, greatest = 0.0;
   for (int i = 0; i < count; i++) {
 #ifdef PS_FOOTPRINT
     ps_soft_receive_next(s, members, normal);
@@ -252,12 +261,22 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
     float weight;
     PsSoftSight sight = ps_soft_cell(s, light, middle.xy, half_u, half_v, pixel, from, weight);
     weight *= ps_soft_emitted(s, light, middle.x * half_u + middle.y * half_v);
-    sum += weight * ps_soft_tap(s, sight, middle.zw, ivec2(cell % columns, cell / columns), vec2(0.0));
+    vec4 tap = ps_soft_tap(s, sight, middle.zw, ivec2(cell % columns, cell / columns), vec2(0.0));
+    sum += weight * tap.xyz;
+    greatest = max(greatest, tap.w);
     total += weight;
   }
   bool mixed = min(sum.x, sum.z) > PS_SOFT_ALIKE * total;
   float lit = total > 0.0 ? sum.x / total : 1.0, gone = mixed ? sum.y / sum.z : 0.0;
-  int turns = mixed ? count : 0;
+  // Where rays from all of a cell pass the same texels its view has told of all of them, and only sub-samples that were not
+  // looked at tell more.
+  bool narrow = greatest * max(length(half_u), length(half_v)) * s.frame.z < PS_SOFT_NARROW;
+#ifdef PS_FOOTPRINT
+  bool known = narrow && bitCount(ps_footprint.members.x) + bitCount(ps_footprint.members.y) <= count;
+#else
+  bool known = narrow;
+#endif
+  int turns = mixed && !known ? count : 0;
   float soft = 0.0;
   total = 0.0;
   for (int i = 0; i < turns; i++) {
@@ -265,10 +284,9 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
     ps_soft_receive_next(s, members, normal);
 #endif
 #ifdef PS_SHADOW_SPREAD
-    int cell = (start + i) % cells, points = few ? PS_SOFT_FEW : PS_POINTS_OF_CELL;
+    int cell = (start + i) % cells, points = narrow ? 1 : few ? PS_SOFT_FEW : PS_POINTS_OF_CELL;
 #else
-    int cell = i;
-    const int points = PS_POINTS_OF_CELL;
+    int cell = i, points = narrow ? 1 : PS_POINTS_OF_CELL;
 #endif
     int column = cell * (1 + PS_POINTS_OF_CELL);
     ivec2 tile = ivec2(cell % columns, cell / columns);
@@ -285,7 +303,7 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
       vec2 own = texelFetch(ps_map_lights, ivec2(column + k, row), 0).xy;
       vec3 point = own.x * half_u + own.y * half_v, apart = s.face * point - from;
       vec2 moved = gone * (apart.xy - (s.parallel ? vec2(0.0) : apart.z * sight.place));
-      vec3 tap = ps_soft_tap(s, sight, middle.zw, tile, moved);
+      vec4 tap = ps_soft_tap(s, sight, middle.zw, tile, moved);
       gone = tap.z > 0.0 ? tap.y / tap.z : gone;
       float weight = (least > 2e-6 ? ps_soft_weight(s, point) : least) * ps_soft_emitted(s, light, point);
       soft += weight * tap.x;
