@@ -166,7 +166,8 @@ PsSplatHit ps_meet_splat(PsUnitSplat splat, vec2 cell)
   hit.depth = depth;
   hit.point = splat.lift * (cell.x * splat.across_x + cell.y * splat.across_y) - back * splat.along;
   hit.share = 1.0;
-  if (splat.wide > 0.0) {
+  // A loop of one turn or none, for a software renderer runs both sides of every branch.
+  for (int i = 0; i < (splat.wide > 0.0 ? 1 : 0); i++) {
     float q = 1.0 - outside, left = max(1.0 - q / PS_WIDER, 0.0);
     if (splat.thinning > 0.0) {
       float even = outside >= 0.0 ? 1.0 : 0.0;
