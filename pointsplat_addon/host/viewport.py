@@ -16,7 +16,7 @@ from ..core.scene import scene as scene_module
 from ..core.scene import settings as settings_module
 from ..core.splat.pixel_radii import with_pixel_radii
 from ..render.budget.lighting import KnownLight, Lighting
-from ..render.budget.viewport import Moving, Pace, Refining, wait
+from ..render.budget.viewport import Arrivals, Moving, Pace, Refining, wait
 from ..render.device.protocol import DeviceError
 from ..render.frame.frame import Frame
 from ..render.plan.request import Request
@@ -31,10 +31,6 @@ from .sync import Synchronizer
 LOG = logging.getLogger(__name__)
 STILL_SECONDS = 0.2  # without a change before the picture is refined
 NAVIGATION_SAMPLES = FEW.count  # of each pixel while the view moves: one lattice of the visibility buffer
-MORE_PAGES = 0.25  # of those of a picture have to come before another one is drawn, or all that are to come
-LEAST_PAUSE = 0.3  # seconds between two pictures of a still view for which pages come
-HASTY_PIXELS = 2  # how many pixels one of such a picture takes each way, where fine ones would take longer than that
-LONGEST_PAUSE = 2.0  # seconds, after which fewer pages are enough, where that is longer than drawing takes
 
 
 class Viewport:
@@ -57,8 +53,7 @@ class Viewport:
         self._error = ""
         self._begun = 0  # frames, so that none is held to tell whether there is another
         self._hasty = False  # the frame has few samples, for pages of scans are still to come
-        self._hasty_pixels = HASTY_PIXELS  # of such frames
-        self._made_at, self._made_in = 0.0, 0.0  # when the frame was begun, and what drawing it took, seconds
+        self._arrivals = Arrivals()
 
     def __del__(self) -> None:
         # The viewport ends with its engine, whose own struct Blender has freed by then.
@@ -71,7 +66,8 @@ class Viewport:
         self._scene = self.synchronizer.scene(depsgraph, view3d=context.space_data)
         self._drop()
         self._error = ""
-        self._hasty, self._made_at, self._made_in = False, 0.0, 0.0
+        self._hasty = False
+        self._arrivals.forget()
 
     def draw(self, engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Draw one more sample into the region, and request a redraw while there is more to do."""
@@ -107,12 +103,7 @@ class Viewport:
         if not (more or self._coarse or self._hasty):
             frame, more = self._lit(frame)
         if streamed is not None and self._begun != begun:
-            # The first picture compiled shaders, which others need not.
-            compiled = self._made_at > 0
-            self._made_at, self._made_in = began, time.perf_counter() - began if compiled else 0.0
-            if self._hasty and compiled:
-                fine = self._made_in * self._hasty_pixels**2  # seconds, at most
-                self._hasty_pixels = HASTY_PIXELS if fine > LEAST_PAUSE else 1
+            self._arrivals.drawn(began, time.perf_counter() - began, self._hasty)
         if self._coarse and self._begun != begun:
             wait(MAIN_GPU.renderer().device)
             self._pace.measured(time.perf_counter() - began)
@@ -204,7 +195,7 @@ class Viewport:
         if self._hasty:
             request = replace(
                 request,
-                camera=camera.with_coarser_pixels(self._hasty_pixels),
+                camera=camera.with_coarser_pixels(self._arrivals.pixels),
                 pages_of=camera,
                 samples=min(request.samples, NAVIGATION_SAMPLES),
             )
@@ -221,22 +212,17 @@ class Viewport:
         """Whether pages of scans are likely to come while the frame is drawn."""
         if all(geometry.streamed is None for geometry in scene.geometries):
             return False
-        return self._made_at == 0.0 or POOL.is_busy(VIEWPORT)
+        return not self._arrivals.begun or POOL.is_busy(VIEWPORT)
 
     def _is_behind(self, now: float) -> bool:
-        """Whether pages have come that the frame lacks, or were to come when it was begun. While more are to come, as
-        much time goes to them as to drawing what is there, and pictures are those of ever more pages. None is drawn
-        where all will have come before it is done."""
+        """Whether pages have come that the frame lacks, or were to come when it was begun."""
         streamed = None if self._frame is None else self._frame.frame_plan.streamed
         if streamed is None or not (self._hasty or streamed.waiting):
             return False
         if not POOL.is_busy(VIEWPORT):
             return self._hasty or streamed.arrivals != POOL.arrivals
-        arrived, since = POOL.arrivals - streamed.arrivals, now - self._made_at
-        more = arrived > MORE_PAGES * streamed.drawn or (arrived > 0 and since > LONGEST_PAUSE)
-        if not (more and since > 2 * self._made_in + LEAST_PAUSE):
-            return False
-        return POOL.missing(VIEWPORT) * since > self._made_in * arrived  # or all are there before it is drawn
+        arrived = POOL.arrivals - streamed.arrivals
+        return self._arrivals.are_enough(now, streamed.drawn, arrived, POOL.missing(VIEWPORT))
 
     def _drop(self) -> None:
         """Release the frame, so that the next drawing starts another."""

@@ -21,6 +21,12 @@ FRAME_SECONDS = 0.1  # that a picture takes at most while the view moves, unless
 # tolerance in pixels of a view that stands still, times that of the settings.
 STEPS = ((1, 1.0), (1, 2.0), (1, 4.0), (2, 4.0), (4, 4.0), (4, 6.0), (4, 8.0))
 FIRST = 2  # of these: with a sixteenth of the points
+MORE_PAGES = 0.25  # of those of a picture have to come before another one is drawn, or all that are to come
+LEAST_PAUSE = 0.3  # seconds between two pictures of a still view for which pages come
+LONGEST_PAUSE = 2.0  # seconds, after which fewer pages are enough, where that is longer than drawing takes
+HASTY_PIXELS = (
+    2  # how many pixels one of such a picture takes each way, where fine ones would take longer than LEAST_PAUSE
+)
 # Times that a picture was faster than it need be where the next finer one is drawn: four times as many pixels, or up to
 # eight times as many nodes of what is solid.
 SPARE, SPARE_OF_NODES = 5.0, 10.0
@@ -53,6 +59,39 @@ class Pace:
             self._step = min(self._step + 1, len(STEPS) - 1)
         elif seconds * (SPARE if self._step > FIRST else SPARE_OF_NODES) < FRAME_SECONDS:
             self._step = max(self._step - 1, 0)
+
+
+class Arrivals:
+    """When a still view is drawn again for which pages of scans come, and how finely."""
+
+    def __init__(self) -> None:
+        self.pixels = HASTY_PIXELS  # how many pixels of the view one of a picture takes each way while pages come
+        self.forget()
+
+    def forget(self) -> None:
+        """Begins anew: nothing has been drawn of the scene."""
+        self.begun = False  # whether a picture was
+        self._at, self._took = 0.0, 0.0  # when the last one was begun, and what drawing it took, seconds
+
+    def drawn(self, at: float, seconds: float, hasty: bool) -> None:
+        """Takes in that a picture was begun at a time and took so long. `hasty`: one of which pages are to come."""
+        if self.begun:
+            if hasty:
+                fine = seconds * self.pixels**2  # at most
+                self.pixels = HASTY_PIXELS if fine > LEAST_PAUSE else 1
+        else:
+            seconds = 0.0  # it compiled shaders, which others need not
+        self.begun, self._at, self._took = True, at, seconds
+
+    def are_enough(self, now: float, pages: int, arrived: int, missing: int) -> bool:
+        """Whether another picture is drawn while pages come. `pages`: of the last one; `arrived`: since that was begun;
+        `missing`: that are still to come. As much time goes to pages as to drawing what is there, and pictures are those of ever more
+        pages; none is drawn where all will have come before it is done."""
+        since = now - self._at
+        more = arrived > MORE_PAGES * pages or (arrived > 0 and since > LONGEST_PAUSE)
+        if not (more and since > 2 * self._took + LEAST_PAUSE):
+            return False
+        return missing * since > self._took * arrived
 
 
 class Moving:

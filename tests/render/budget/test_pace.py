@@ -1,8 +1,9 @@
 """How coarse pictures get while a view moves."""
 
+import numpy as np
 import pytest
 
-from pointsplat_addon.render.budget.viewport import FRAME_SECONDS, STEPS, Pace
+from pointsplat_addon.render.budget.viewport import FRAME_SECONDS, HASTY_PIXELS, LEAST_PAUSE, STEPS, Arrivals, Pace
 
 COARSEST = max(times for times, _ in STEPS)
 
@@ -48,3 +49,35 @@ def test_the_first_picture_and_a_slow_one_are_forgotten():
     for _ in range(2):
         pace.measured(0.015)
     assert (pace.times, pace.tolerance) == (1, 4.0)
+
+
+@pytest.mark.parametrize("rate", [50.0, 500.0, 5000.0])  # pages a second
+@pytest.mark.parametrize("took", [0.01, 0.3, 2.0])  # seconds of a picture of all pages
+def test_pictures_while_pages_come_leave_time_for_them(rate, took):
+    pages, begun = 1000, []
+    arrivals = Arrivals()
+    arrivals.drawn(0.0, 5.0, hasty=True)  # compiles shaders
+    shown, at, last = 1, 0.0, 0.0
+    for now in np.arange(0.0, pages / rate, 0.01):
+        there = min(int(rate * now), pages)
+        if now >= at and arrivals.are_enough(now, shown, there - shown, pages - there):
+            seconds = took * there / pages
+            assert now + last < pages / rate + 0.01  # else all would have come before it is done, as far as is known
+            begun.append((now, seconds))
+            arrivals.drawn(now, seconds, hasty=True)
+            shown, at, last = there, now + seconds, seconds
+    gaps = np.diff([now for now, _ in begun])
+    assert all(gap >= 2 * seconds + LEAST_PAUSE for gap, (_, seconds) in zip(gaps, begun, strict=False))
+    assert begun or pages / rate < LEAST_PAUSE or took > pages / rate / 2
+
+
+def test_pixels_are_coarse_while_pages_come_only_where_fine_ones_take_long():
+    arrivals = Arrivals()
+    arrivals.drawn(1.0, 5.0, hasty=True)  # compiles shaders
+    assert arrivals.pixels == HASTY_PIXELS
+    arrivals.drawn(2.0, 0.5 * LEAST_PAUSE / HASTY_PIXELS**2, hasty=True)
+    assert arrivals.pixels == 1
+    arrivals.drawn(3.0, 2.0 * LEAST_PAUSE, hasty=True)
+    assert arrivals.pixels == HASTY_PIXELS
+    arrivals.drawn(4.0, 0.1 * LEAST_PAUSE, hasty=False)  # a fine picture tells nothing of these
+    assert arrivals.pixels == HASTY_PIXELS
