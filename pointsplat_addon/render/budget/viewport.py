@@ -22,8 +22,8 @@ FRAME_SECONDS = 0.1  # that a picture takes at most while the view moves, unless
 STEPS = ((1, 1.0), (1, 2.0), (1, 4.0), (2, 4.0), (4, 4.0), (4, 6.0), (4, 8.0))
 FIRST = 2  # of these: with a sixteenth of the points
 MORE_PAGES = 0.25  # of those of a picture have to come before another one is drawn, or all that are to come
-LEAST_PAUSE = 0.3  # seconds between two pictures of a still view for which pages come
 LONGEST_PAUSE = 2.0  # seconds, after which fewer pages are enough, where that is longer than drawing takes
+LEAST_PAUSE = 0.3  # seconds between two pictures of a still view for which pages come
 HASTY_PIXELS = (
     2  # how many pixels one of such a picture takes each way, where fine ones would take longer than LEAST_PAUSE
 )
@@ -85,8 +85,8 @@ class Arrivals:
 
     def are_enough(self, now: float, pages: int, arrived: int, missing: int) -> bool:
         """Whether another picture is drawn while pages come. `pages`: of the last one; `arrived`: since that was begun;
-        `missing`: that are still to come. As much time goes to pages as to drawing what is there, and pictures are those of ever more
-        pages; none is drawn where all will have come before it is done."""
+        `missing`: that are still to come. As much time goes to pages as to drawing what is there, and pictures are
+        those of ever more pages; none is drawn where all will have come before it is done."""
         since = now - self._at
         more = arrived > MORE_PAGES * pages or (arrived > 0 and since > LONGEST_PAUSE)
         if not (more and since > 2 * self._took + LEAST_PAUSE):
