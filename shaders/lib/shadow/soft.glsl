@@ -15,7 +15,7 @@
 #define PS_SOFT_CELLS 8  // that receivers look at which look at few points; and of each,
 #define PS_SOFT_FEW 2  // points, where the light is hidden in part
 #define PS_SOFT_ALIKE 1e-4  // shares of a light that do not matter
-#define PS_SOFT_NARROW 0.25  // texels: rims of shadows that maps do not tell from sharp ones
+#define PS_SOFT_NARROW 0.25  // texels, and pixels: rims of shadows that nobody tells from sharp ones
 #define PS_SOFT_SPARSE vec2(0.05, 0.45)  // shares that strands hide, see ps_soft_sparse
 #define PS_SOFT_STEEPEST 0.05  // cosine: planes that a point of the light grazes more closely are treated as this one
 
@@ -246,7 +246,7 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
   ps_soft_receive(s, position, normal);
 #endif
   vec3 sum = vec3(0.0);
-  float total = 0.0, greatest = 0.0;
+  float total = 0.0, greatest = 0.0, texels = 0.0;  // that a pixel is wide
   for (int i = 0; i < count; i++) {
 #ifdef PS_FOOTPRINT
     ps_soft_receive_next(s, members, normal);
@@ -264,17 +264,19 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
     vec4 tap = ps_soft_tap(s, sight, middle.zw, ivec2(cell % columns, cell / columns), vec2(0.0));
     sum += weight * tap.xyz;
     greatest = max(greatest, tap.w);
+    texels = pixel * sight.scale * s.frame.z;
     total += weight;
   }
   bool mixed = min(sum.x, sum.z) > PS_SOFT_ALIKE * total;
   float lit = total > 0.0 ? sum.x / total : 1.0, gone = mixed ? sum.y / sum.z : 0.0;
-  // Where rays from all of a cell pass the same texels its view has told of all of them, and only sub-samples that were not
-  // looked at tell more.
-  bool narrow = greatest * max(length(half_u), length(half_v)) * s.frame.z < PS_SOFT_NARROW;
 #ifdef PS_FOOTPRINT
+  // Where rays from all of a cell pass the same texels, and land in the same pixel, its view has told of all of them, and only
+  // sub-samples that were not looked at tell more.
+  float rim = greatest * max(length(half_u), length(half_v)) * s.frame.z;
+  bool narrow = rim < PS_SOFT_NARROW * min(texels, 1.0);
   bool known = narrow && bitCount(ps_footprint.members.x) + bitCount(ps_footprint.members.y) <= count;
 #else
-  bool known = narrow;
+  const bool narrow = false, known = false;
 #endif
   int turns = mixed && !known ? count : 0;
   float soft = 0.0;
