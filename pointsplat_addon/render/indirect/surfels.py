@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...core.indirect.captured import captured_surfels
-from ...core.indirect.closed import is_closed, is_solid
+from ...core.indirect.closed import is_closed, is_inside_out, is_solid, winding_number
 from ...core.indirect.sampling import LightSamples, light_samples
 from ...core.indirect.sheets import WIDE, Sheets, sheets
 from ...core.indirect.surfels import Surfels, joined
@@ -27,7 +27,7 @@ from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from ..prepare.separation import is_translucent
 from ..shadow.casting import cached_bounding_box
-from .density import Density, Spacing
+from .density import Density, Spacing, view_begins
 
 TYPICAL_COSINE = 0.6  # of directions in which surfels are seen
 FEWEST_IN_FOLIAGE = 2000  # triangles: with fewer, open edges are those of floors and walls
@@ -61,7 +61,19 @@ def scene_density(scene: Scene, camera: Camera, store: Store) -> tuple[Density, 
     origin = np.zeros(3)
     if shown.any():
         origin = 0.5 * ((world - around)[shown].min(axis=0) + (world + around)[shown].max(axis=0))
-    return Density(camera, world, around), origin
+    begins = view_begins(camera)
+    holds_eye = np.zeros(len(world), bool)
+    within = (np.abs(begins[:, None] - world) <= around).all(axis=2)
+    for row in np.flatnonzero(shown & within.any(axis=0)).tolist():
+        mesh, matrix = scene.geometries[scene.instances.geometry[row]].mesh, matrices[row]
+        if mesh is not None and _is_closed(mesh, store) and np.linalg.det(matrix[:3, :3]) != 0:
+            places = np.linalg.solve(matrix[:3, :3], (begins[within[:, row]] - matrix[:3, 3]).T).T
+            holds_eye[row] = (np.abs(winding_number(mesh, places)) > 0.5).any()
+    return Density(camera, world, around, holds_eye), origin
+
+
+def _is_closed(mesh: Mesh, store: Store) -> bool:
+    return store.lookup(Key(Kind.IS_CLOSED, mesh.key), lambda: is_closed(mesh))
 
 
 def usable_instances(scene: Scene) -> np.ndarray:
@@ -109,17 +121,27 @@ def _surfels(
         mesh = geometry.mesh
         if passing(mesh, table) is not None:
             return []
-        closed = store.lookup(Key(Kind.IS_CLOSED, mesh.key), lambda: is_closed(mesh))
+        closed = _is_closed(mesh, store)
         leaves = len(mesh.triangles) * len(matrices) >= FEWEST_IN_FOLIAGE and store.lookup(
             Key(Kind.IS_FOLIAGE, mesh.key), lambda: is_foliage(mesh.position, mesh.triangles)
         )
         solid = leaves and not closed and store.lookup(Key(Kind.IS_SOLID, mesh.key), lambda: is_solid(mesh))
-        kind = closed or solid, leaves and not closed
+        # Rooms are closed meshes, too: their insides are seen from there. So are outsides of what is inside out.
+        hidden = np.full(len(rows), solid)
+        if closed:
+            inwards = store.lookup(Key(Kind.IS_INSIDE_OUT, mesh.key), lambda: is_inside_out(mesh))
+            hidden = density.holds_eye[rows] == inwards
+        scattered = leaves and not closed
         if len(matrices) < MANY_INSTANCES:
             shown = (shown_by(mesh, scene.instances, row) for row in rows.tolist())
-            each = zip(shown, matrices, spacings, strict=True)
-            return [_of_mesh(own, table, one, at, kind) for own, one, at in each]
-        return _of_instances(mesh, table, matrices, density.apart[rows], kind)
+            each = zip(shown, matrices, spacings, hidden.tolist(), strict=True)
+            return [_of_mesh(own, table, one, at, (back, scattered)) for own, one, at, back in each]
+        found = []
+        for back in (True, False):
+            some = hidden == back
+            if some.any():
+                found += _of_instances(mesh, table, matrices[some], density.apart[rows[some]], (back, scattered))
+        return found
     if geometry.cloud is not None and len(geometry.cloud) and not is_translucent(geometry, table):
         cloud = geometry.cloud
         each = zip(matrices, spacings, strict=True)
