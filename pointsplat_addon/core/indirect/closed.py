@@ -64,8 +64,8 @@ def is_inside_out(mesh: Mesh) -> bool:
 
 
 def winding_number(mesh: Mesh, places: np.ndarray) -> np.ndarray:
-    """(P,) float64: how often a closed mesh runs around places (P, 3) in its space: 1 inside, 0 outside, -1 inside where
-    its fronts look inwards. Solid angles of triangles (van Oosterom and Strackee 1983)."""
+    """Returns how often a closed mesh runs around places (P, 3) in its space, (P,) float64: 1 inside, 0 outside, -1
+    inside where its fronts look inwards. Solid angles of triangles (van Oosterom and Strackee 1983)."""
     found = np.zeros(len(places))
     for begin in range(0, len(mesh.triangles), BLOCK):
         corners = triangle_corners(mesh, slice(begin, begin + BLOCK))
