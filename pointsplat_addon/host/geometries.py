@@ -79,6 +79,9 @@ class Geometries:
         keys = []
         for source in sources:
             rows = tuple(self._cache.row(m) for m in source.materials)
+            if source.matte and table.translucent is not None:
+                # They hide what is behind them, whatever their material lets through.
+                rows = tuple(0 if table.translucent[row] else row for row in rows)
             key = _source_key(source, rows, table)
             keys.append(key)
             last = known.get(key) or self._known.get(key)

@@ -123,7 +123,7 @@ class Synchronizer:
             source.name
             for source in sources
             if source.primitive == "POLYGONS" and isinstance(source.data, bpy.types.Mesh) and not source.particles
-            and not source.hair and not source.filled
+            and not source.hair and not source.filled and not source.matte
             and any(table.translucent[self._cache.row(m)] for m in source.materials)
         })  # fmt: skip
         if not names:

@@ -72,3 +72,18 @@ def test_a_world_shows_through_as_dark_as_the_shadow(tmp_path):
     assert floor.mean() > 0.3
     rmse = np.sqrt(((seen - cycles)[floor, :3] ** 2).mean(axis=0)) / 1e-3
     assert rmse.max() < 0.05  # of the sky's radiance; measured 0.035
+
+
+def test_catchers_send_light_by_their_own_colour_and_mirrors_show_them(tmp_path):
+    """One bounce, on white walls beside a green catcher, and in a ball of metal above it; film transparent."""
+    scene, other = studio()
+    scene.pointsplat.use_indirect, scene.pointsplat.bounces = True, 1
+    scene.cycles.max_bounces = scene.cycles.diffuse_bounces = scene.cycles.glossy_bounces = 1
+    other.data.materials[0] = surface("Metal", (0.9,) * 3, Roughness=0.0, Metallic=1.0)
+    media.lamp(scene, "SUN", 3.0, (3, -2, 4))
+    seen = media.draw(scene, tmp_path, "POINTSPLAT", 16)
+    cycles = media.draw(scene, tmp_path, "CYCLES", 256)
+    rmse = np.sqrt(((seen - cycles)[..., :3] ** 2).mean(axis=(0, 1)))
+    # 0.0039; grey and left out of mirrors 0.052. Means are 0.979 to 0.988 of Cycles'; 0.82 to 1.17.
+    assert rmse.max() < 0.006
+    np.testing.assert_allclose(seen.mean(axis=(0, 1))[:3], cycles.mean(axis=(0, 1))[:3], rtol=0.03)

@@ -364,6 +364,18 @@ def test_shadow_catchers_without_polygons_are_left_out_and_named():
     ]
 
 
+def test_shadow_catchers_hide_what_is_behind_them_whatever_their_material_lets_through():
+    ob = square("Floor")
+    ob.is_shadow_catcher = True
+    ob.data.materials.append(material := bpy.data.materials.new("Film"))
+    material.use_nodes = True
+    assert sync().geometries[0].mesh.materials != (0,)
+    material.node_tree.nodes["Principled BSDF"].inputs["Alpha"].default_value = 0.5
+    found = sync()
+    assert found.geometries[0].mesh.materials == (0,)
+    assert found.warnings == ()
+
+
 def test_polygons_that_light_passes_through_are_said_to_be_points():
     ob = square("Pane")
     ob.pointsplat.primitive = "POLYGONS"

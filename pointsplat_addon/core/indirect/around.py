@@ -18,6 +18,7 @@ LEAST_FACE = 0.04  # share of a normal in an axis, below which that is left out
 LEAST_SHARE = 0.01  # of what is known, in a cell, below which it does not count there
 NONE, ENOUGH = 0.05, 0.35  # weight of what is known, from which on cells count, and from which on larger ones do not
 MOST_COMPARED, MOST_BRIGHTER = 2048, 2.0  # positions that tell by how much what is known roughly is to be brighter
+NEXT_TO = 1.0  # edges of its cell: nearer things make that a position tells nothing of what is known roughly
 CLIMB = 1  # levels above their own, up to which positions of which more is known count
 MOST_LEVELS = 64
 PRIMES = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93], np.uint64)
@@ -52,9 +53,14 @@ class _Cells:
 
 
 def matched(rough: LightAt, known: LightAt) -> LightAt:
-    """Returns `rough`, brighter or darker by what is `known` more exactly, mean over the area of that."""
+    """Returns `rough`, brighter or darker by what is `known` more exactly, mean over the area of that.
+
+    In corners cells of what is known roughly mix what lies deep in them with what does not: they do not count.
+    """
     few = known.take(slice(None, None, len(known.level) // MOST_COMPARED + 1))
     area = 4.0 ** (few.level - few.level.max(initial=0))
+    free = few.found[:, 3] * np.exp2(few.level) < 1 / NEXT_TO
+    area *= free if free.any() else 1
     mean = area @ few.found[:, :3]
     of_rough = area @ LightAround(rough).estimated(few.position, few.normal, few.level)[:, :3]
     ratio = np.clip(mean / np.maximum(of_rough, 1e-30), 1 / MOST_BRIGHTER, MOST_BRIGHTER)

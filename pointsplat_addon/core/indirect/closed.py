@@ -1,5 +1,5 @@
-"""Finds out whether a mesh is closed: whether its surface has an inside that nobody sees from outside; and
-whether it is so but for small gaps."""
+"""Finds out whether a mesh is closed: whether its surface has an inside that nobody sees from outside, which side that
+is, and what lies in it; and whether it is closed but for small gaps."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ MULTIPLIERS = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 ALONG = np.array([0.267, 0.535, 0.802]) / np.linalg.norm([0.267, 0.535, 0.802])  # aslant to all axes
 FEWEST_RAYS, MOST_RAYS = 32, 128
 MOST_TESTS = 1 << 25  # of rays and boxes around triangles
+BLOCK = 1 << 16  # triangles that are looked at together
+FLAT = 1e-3  # of the volume of a cube with the same surface: less of it is nothing, as between two sheets
 SOLID = 0.8  # share of rays that have to leave at an inside; of leaves at random at most about a half do
 
 
@@ -47,6 +49,33 @@ def scrambled(x: np.ndarray) -> np.ndarray:
     x = (x ^ (x >> np.uint64(30))) * MULTIPLIERS[0]
     x = (x ^ (x >> np.uint64(27))) * MULTIPLIERS[1]
     return x ^ (x >> np.uint64(31))
+
+
+def is_inside_out(mesh: Mesh) -> bool:
+    """Tells whether the fronts of a closed mesh look inwards: whether its volume is negative (divergence theorem)."""
+    volume, area = 0.0, 0.0
+    middle = mesh.position.mean(axis=0, dtype=np.float64)
+    for begin in range(0, len(mesh.triangles), BLOCK):
+        a, b, c = triangle_corners(mesh, slice(begin, begin + BLOCK), middle)
+        across = np.cross(b - a, c - a, axis=0)
+        volume += float((a * across).sum()) / 6
+        area += float(np.sqrt((across**2).sum(axis=0)).sum()) / 2
+    return volume < -FLAT * (area / 6) ** 1.5
+
+
+def winding_number(mesh: Mesh, places: np.ndarray) -> np.ndarray:
+    """Returns how often a closed mesh runs around places (P, 3) in its space, (P,) float64: 1 inside, 0 outside, -1
+    inside where its fronts look inwards. Solid angles of triangles (van Oosterom and Strackee 1983)."""
+    found = np.zeros(len(places))
+    for begin in range(0, len(mesh.triangles), BLOCK):
+        corners = triangle_corners(mesh, slice(begin, begin + BLOCK))
+        for row, place in enumerate(places):
+            a, b, c = corners - place[:, None]
+            la, lb, lc = (np.sqrt((side**2).sum(axis=0)) for side in (a, b, c))
+            volume = (a * np.cross(b, c, axis=0)).sum(axis=0)
+            beside = la * lb * lc + (a * b).sum(axis=0) * lc + (b * c).sum(axis=0) * la + (c * a).sum(axis=0) * lb
+            found[row] += float(np.arctan2(volume, beside).sum()) / (2 * np.pi)
+    return found
 
 
 def is_solid(mesh: Mesh) -> bool:

@@ -211,13 +211,13 @@ def _make_source(
     clip: Clip | None,
 ) -> Source:
     matte = visible.catcher
-    materials = () if matte else _materials(ob, override)
+    materials = _materials(ob, override)
     primitive = "POLYGONS" if matte else ob.pointsplat.primitive
     return Source(
         name=ob.name,
         owner=ob.original.session_uid,
         data=ob.data,  # pyright: ignore[reportArgumentType]
-        materials=materials or (None if matte else override,),
+        materials=materials or (override,),
         primitive="AUTO" if primitive == "LINES" else primitive,
         matte=matte,
         spacing=ob.pointsplat.spacing,

@@ -24,6 +24,7 @@ class Kind(Enum):
     MEASURES = auto()  # of triangles, for sampling
     IS_FOLIAGE = auto()
     IS_CLOSED = auto()
+    IS_INSIDE_OUT = auto()  # closed, with fronts that look inwards
     IS_SOLID = auto()  # closed but for small gaps
     DIVIDED_MESH = auto()  # parts and measures
     SPLIT_BY_MATERIAL = auto()  # an opaque and a translucent mesh

@@ -27,8 +27,10 @@ Spacing = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 class Density:
     """The spacing of surfels on the instances of a scene."""
 
-    def __init__(self, camera: Camera, middle: np.ndarray, half: np.ndarray) -> None:
-        """middle, half: (I, 3) float64, of boxes around the instances in world space."""
+    def __init__(self, camera: Camera, middle: np.ndarray, half: np.ndarray, holds_eye: np.ndarray) -> None:
+        """middle, half: (I, 3) float64, of boxes around the instances in world space. holds_eye: (I,) bool, whether
+        what is seen begins within a closed mesh."""
+        self.holds_eye = holds_eye
         eye, scale = camera_place(camera), PIXELS / camera.pixel_from_view()[0]
         self._middle, self._half, self._perspective = middle, half, camera.perspective
         self._scale = float(np.exp2(np.rint(2 * np.log2(scale)) / 2))  # a lens that zooms changes it in steps
@@ -53,7 +55,8 @@ class Density:
     @property
     def key(self) -> bytes:
         """Equal ones mean equal surfels of equal instances."""
-        return digest((self._anchor.tobytes(), self._least.tobytes(), self._scale))
+        places = self._anchor.tobytes(), self._least.tobytes(), self.holds_eye.tobytes()
+        return digest((*places, self._scale))
 
     def seen_at(self, position: np.ndarray, origin: np.ndarray) -> np.ndarray:
         """(N,): how wide as many pixels are at positions (N, 3) in the world from `origin` as surfels are apart."""
@@ -79,6 +82,15 @@ class Density:
             return apart, away
 
         return spacing
+
+
+def view_begins(camera: Camera) -> np.ndarray:
+    """(9, 3) float64: where, in world space, the rays of a camera begin that meet the middle, corners and edges of the
+    full frame: what lies before its clip start is not seen."""
+    x, y = (axis.ravel() for axis in np.meshgrid((-1.0, 0.0, 1.0), (-1.0, 0.0, 1.0)))
+    world_from_clip = np.linalg.inv(camera.clip_from_view @ camera.view_from_world)
+    found = np.column_stack([x, y, np.full(9, -1.0), np.ones(9)]) @ world_from_clip.T
+    return found[:, :3] / found[:, 3:]
 
 
 def camera_place(camera: Camera) -> np.ndarray:

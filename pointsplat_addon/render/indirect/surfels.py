@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...core.indirect.captured import captured_surfels
-from ...core.indirect.closed import is_closed, is_solid
+from ...core.indirect.closed import is_closed, is_inside_out, is_solid, winding_number
 from ...core.indirect.sampling import LightSamples, light_samples
 from ...core.indirect.sheets import WIDE, Sheets, sheets
 from ...core.indirect.surfels import Surfels, joined
@@ -27,7 +27,7 @@ from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from ..prepare.separation import is_translucent
 from ..shadow.casting import cached_bounding_box
-from .density import Density, Spacing
+from .density import Density, Spacing, view_begins
 
 TYPICAL_COSINE = 0.6  # of directions in which surfels are seen
 FEWEST_IN_FOLIAGE = 2000  # triangles: with fewer, open edges are those of floors and walls
@@ -38,6 +38,8 @@ MOST_IN_SHEETS = 1 << 18  # balls of a cloud by which its sheets are found
 # others is a lump, beside which light passes.
 FINER_HAIRS = 6
 MANY_INSTANCES = 16  # of a geometry, from which on they share samples
+# Of a mesh: whether nobody sees its backs, whether it is leaves, and whether its backs are its outside.
+MeshKind = tuple[bool, bool, bool]
 
 
 def scene_density(scene: Scene, camera: Camera, store: Store) -> tuple[Density, np.ndarray]:
@@ -61,7 +63,19 @@ def scene_density(scene: Scene, camera: Camera, store: Store) -> tuple[Density, 
     origin = np.zeros(3)
     if shown.any():
         origin = 0.5 * ((world - around)[shown].min(axis=0) + (world + around)[shown].max(axis=0))
-    return Density(camera, world, around), origin
+    begins = view_begins(camera)
+    holds_eye = np.zeros(len(world), bool)
+    within = (np.abs(begins[:, None] - world) <= around).all(axis=2)
+    for row in np.flatnonzero(shown & within.any(axis=0)).tolist():
+        mesh, matrix = scene.geometries[scene.instances.geometry[row]].mesh, matrices[row]
+        if mesh is not None and _is_closed(mesh, store) and np.linalg.det(matrix[:3, :3]) != 0:
+            places = np.linalg.solve(matrix[:3, :3], (begins[within[:, row]] - matrix[:3, 3]).T).T
+            holds_eye[row] = (np.abs(winding_number(mesh, places)) > 0.5).any()
+    return Density(camera, world, around, holds_eye), origin
+
+
+def _is_closed(mesh: Mesh, store: Store) -> bool:
+    return store.lookup(Key(Kind.IS_CLOSED, mesh.key), lambda: is_closed(mesh))
 
 
 def usable_instances(scene: Scene) -> np.ndarray:
@@ -109,17 +123,28 @@ def _surfels(
         mesh = geometry.mesh
         if passing(mesh, table) is not None:
             return []
-        closed = store.lookup(Key(Kind.IS_CLOSED, mesh.key), lambda: is_closed(mesh))
+        closed = _is_closed(mesh, store)
         leaves = len(mesh.triangles) * len(matrices) >= FEWEST_IN_FOLIAGE and store.lookup(
             Key(Kind.IS_FOLIAGE, mesh.key), lambda: is_foliage(mesh.position, mesh.triangles)
         )
         solid = leaves and not closed and store.lookup(Key(Kind.IS_SOLID, mesh.key), lambda: is_solid(mesh))
-        kind = closed or solid, leaves and not closed
+        inwards = closed and store.lookup(Key(Kind.IS_INSIDE_OUT, mesh.key), lambda: is_inside_out(mesh))
+        # Rooms are closed meshes, too, whose insides are seen from there, beside other parts of them from outside.
+        inside = density.holds_eye[rows]
+        hidden = np.full(len(rows), closed or solid) & (~inside | inwards)
+        other = ~inside & inwards  # is seen from outside, where backs are
+        scattered = leaves and not closed
         if len(matrices) < MANY_INSTANCES:
             shown = (shown_by(mesh, scene.instances, row) for row in rows.tolist())
-            each = zip(shown, matrices, spacings, strict=True)
-            return [_of_mesh(own, table, one, at, kind) for own, one, at in each]
-        return _of_instances(mesh, table, matrices, density.apart[rows], kind)
+            kinds = zip(hidden.tolist(), [scattered] * len(rows), other.tolist(), strict=True)
+            each = zip(shown, matrices, spacings, kinds, strict=True)
+            return [_of_mesh(own, table, one, at, kind) for own, one, at, kind in each]
+        found = []
+        for back, turned in np.unique(np.stack([hidden, other], axis=1), axis=0).tolist():
+            some = (hidden == back) & (other == turned)
+            kind = back, scattered, turned
+            found += _of_instances(mesh, table, matrices[some], density.apart[rows[some]], kind)
+        return found
     if geometry.cloud is not None and len(geometry.cloud) and not is_translucent(geometry, table):
         cloud = geometry.cloud
         each = zip(matrices, spacings, strict=True)
@@ -133,23 +158,25 @@ def _surfels(
     return []
 
 
-def _of_mesh(
-    mesh: Mesh, table: MaterialTable, matrix: np.ndarray, spacing: Spacing, kind: tuple[bool, bool]
-) -> Surfels:
+def _of_mesh(mesh: Mesh, table: MaterialTable, matrix: np.ndarray, spacing: Spacing, kind: MeshKind) -> Surfels:
     """The surfels of one instance, each as far from the next as it is to be where it lies."""
     moved = replace(mesh, position=(mesh.position @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32))
     made = light_samples(moved, spacing)
     if np.linalg.det(matrix[:3, :3]) < 0:
-        # Mirrored triangles run the other way round: their other side comes first.
-        other = np.cross(made.normal, made.edge)
-        length = np.maximum((made.edge**2).sum(axis=1), 1e-300)
-        other *= (made.area * np.where(made.half, 2, 1) / length)[:, None]
-        made = replace(made, normal=-made.normal, edge=other)
+        made = _turned(made)  # mirrored triangles run the other way round
     return _with_look(mesh, table, made, kind)
 
 
+def _turned(made: LightSamples) -> LightSamples:
+    """Samples whose backs are their fronts: their other side comes first."""
+    other = np.cross(made.normal, made.edge)
+    length = np.maximum((made.edge**2).sum(axis=1), 1e-300)
+    other *= (made.area * np.where(made.half, 2, 1) / length)[:, None]
+    return replace(made, normal=-made.normal, edge=other)
+
+
 def _of_instances(
-    mesh: Mesh, table: MaterialTable, matrices: np.ndarray, apart: np.ndarray, kind: tuple[bool, bool]
+    mesh: Mesh, table: MaterialTable, matrices: np.ndarray, apart: np.ndarray, kind: MeshKind
 ) -> list[Surfels]:
     """The surfels of many instances, (I,) apart: those of about one distance share samples."""
     scale = _scale(matrices)
@@ -183,13 +210,15 @@ def _moved(surfels: Surfels, matrices: np.ndarray) -> Surfels:
     )  # fmt: skip
 
 
-def _with_look(mesh: Mesh, table: MaterialTable, made: LightSamples, kind: tuple[bool, bool]) -> Surfels:
+def _with_look(mesh: Mesh, table: MaterialTable, made: LightSamples, kind: MeshKind) -> Surfels:
     """Surfels at samples that were taken of the mesh, or of it where it stands."""
     samples = made.samples
     look = scattered_at(mesh, samples, table)
     rows = np.minimum(material_ids(mesh, samples), len(table) - 1)
     albedo, emission = _look(rows, look.color, look.surface, look.emission, table)
-    closed, scattered = (np.full(len(samples), flag) for flag in kind)
+    closed, scattered = (np.full(len(samples), flag) for flag in kind[:2])
+    if kind[2]:
+        made = _turned(made)
     position, normal, area, edge = (of.astype(np.float32) for of in (made.position, made.normal, made.area, made.edge))
     surfels = Surfels(np.zeros(3), position, normal, area, closed, scattered, albedo, emission, edge, made.half)
     return surfels if look.alpha is None else surfels.take(np.flatnonzero(look.alpha >= CLIP))

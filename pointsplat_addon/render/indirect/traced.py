@@ -67,8 +67,8 @@ def scene_triangles(scene: Scene, origin: np.ndarray) -> tuple[SceneTriangles, n
     shown = np.isfinite(instances.world_from_object).all(axis=(1, 2))
     if instances.mirrored is not None:
         shown &= instances.mirrored
-    if instances.matte is not None:
-        shown &= ~instances.matte
+    if instances.matte is not None and any(one.captured is not None for one in scene.geometries):
+        shown &= ~instances.matte  # they stand for surfaces of the capture, which mirrors show
     rows_of = instances.of_each(len(scene.geometries), shown)
     for geometry, rows in zip(scene.geometries, rows_of, strict=True):
         mesh = geometry.mesh

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.indirect.closed import is_closed, is_solid
+from pointsplat_addon.core.indirect.closed import is_closed, is_inside_out, is_solid, winding_number
 from pointsplat_addon.core.scene.mesh import Mesh
-from scripts.scenes.meshes import flat_mesh, sphere_mesh
+from scripts.scenes.meshes import flat_mesh, shape, sphere_mesh
 
 
 def leaves(count: int, *, sheets: int, flat: bool) -> Mesh:
@@ -40,3 +40,22 @@ def test_a_ball_with_a_hole_is_solid_and_half_of_one_is_not():
     assert is_solid(flat_mesh("hole", ball.position, ball.triangles[middle[:, 0] < 0.9]))
     assert not is_solid(flat_mesh("half", ball.position, ball.triangles[middle[:, 0] < 0]))
     assert not is_solid(flat_mesh("nothing", ball.position[:0], ball.triangles[:0]))
+
+
+@pytest.mark.parametrize("inwards", [False, True])
+def test_which_way_closed_meshes_look_and_what_is_inside(inwards):
+    """A ball and a doughnut of triangles far from the origin, of which one is mirrored. Worst: 5e-12."""
+    middle = np.array([1000.0, -200.0, 30.0])
+    for of in (sphere_mesh("ball", 24), shape("torus")):
+        triangles = of.triangles[:, ::-1] if inwards else of.triangles
+        closed = flat_mesh("closed", (of.position + middle).astype(np.float32), triangles)
+        assert is_closed(closed)
+        assert is_inside_out(closed) == inwards
+        inside, outside = (0.8, 0.0, 0.1), (0.0, 0.0, 1.2)
+        found = winding_number(closed, middle + np.array([inside, outside, (7.0, 0.0, 0.0)]))
+        np.testing.assert_allclose(found, [-1 if inwards else 1, 0, 0], atol=1e-9)
+
+
+def test_pairs_of_sheets_are_not_inside_out():
+    """What lies between them is nothing."""
+    assert not is_inside_out(leaves(5000, sheets=2, flat=False))

@@ -21,6 +21,7 @@ TURNS = 2  # steps of normals along each axis, either way
 ALIKE = 0.95  # cosine between normals of a receiver and of what the picture shows where its cell's middle is
 SAME_PLANE, SUNK = 0.1, 0.01  # edges that the middle may lie above that, and below: in hollows it would be in the dark
 LIFT = 0.05  # edges that sites are raised: what stands for a curved surface lies now above, now below it
+CORNERS = 2  # walls, at most, that sites are kept away from
 WIDEST = 1.5  # edges of cells over the side of the squares of pixels that they stand for, at most; half of it at least
 
 
@@ -56,7 +57,8 @@ class Groups:
 
 def sites_of(groups: Groups, rows: np.ndarray, level: np.ndarray, view: SampleView, sole: np.ndarray | None) -> Sites:
     """Returns the sites of groups `rows` (n,) in cells of 2^level, (n,): the middle of each cell, in the group's plane,
-    where the picture shows that this surface is there; else a place next to the group. Both are raised a little.
+    where the picture shows that this surface is there; else a place next to the group. Both are raised a little, and
+    lie before other surfaces that the pixels around show, not in or behind these.
 
     `sole`: (H * W,), of sole_groups; None: groups are seen by way of mirrors, in which cells may be wider than rooms.
     They have places next to them, no farther away or higher than if they were seen directly.
@@ -65,9 +67,53 @@ def sites_of(groups: Groups, rows: np.ndarray, level: np.ndarray, view: SampleVi
     if sole is None:
         away = np.linalg.norm(position - groups.eye, axis=1) if view.camera.perspective else np.ones(len(rows))
         level = np.minimum(level, _levels(away, view, SIDES[0]))
-    near = sites(position, normal, level, FINE)
-    found = near if sole is None else _middles(groups, position, normal, level, view, sole, near)
+    edge = np.exp2(level)
+    shown = np.full(view.size[0] * view.size[1], -1)
+    there = np.flatnonzero(groups.depth != 0)
+    shown[groups.pixel[there]] = there
+    near, beside = sites(position, normal, level, FINE), position
+    for _ in range(CORNERS):
+        away = _above_what_is_beside(groups, rows, near.position, edge, shown, view.size[0])
+        moved = np.flatnonzero(away.any(axis=1))
+        if len(moved) == 0:
+            break
+        # By a step of the lattice, in the group's plane.
+        along = away[moved] - (away[moved] * normal[moved]).sum(axis=1, keepdims=True) * normal[moved]
+        along *= (edge[moved] / FINE)[:, None] / np.linalg.norm(along, axis=1, keepdims=True)
+        beside = beside.copy()
+        beside[moved] += along
+        near = sites(beside, normal, level, FINE)
+    if sole is None:
+        found = near
+    else:
+        found = _middles(groups, position, normal, level, view, sole, near)
+        away = _above_what_is_beside(groups, rows, found.position, edge, shown, view.size[0])
+        found = near.take(away.any(axis=1), found)
     return replace(found, position=found.position + (LIFT * np.exp2(level))[:, None] * found.normal)
+
+
+def _above_what_is_beside(
+    groups: Groups, rows: np.ndarray, place: np.ndarray, edge: np.ndarray, shown: np.ndarray, width: int
+) -> np.ndarray:
+    """Returns normals (n, 3) of surfaces beside groups `rows` (n,), in hollows, that places (n, 3) do not lie before by
+    LIFT edges (n,); (0, 0, 0): of none.
+
+    `shown` (H * W,): a group of each pixel; -1: none. Those next to a group's count.
+    """
+    position, normal = groups.position[rows], groups.normal[rows]
+    found, least = np.zeros((len(rows), 3)), np.full(len(rows), LIFT)
+    x, y = groups.pixel[rows] % width, groups.pixel[rows] // width
+    for step in range(9):
+        at = np.clip(y + step // 3 - 1, 0, len(shown) // width - 1) * width + np.clip(x + step % 3 - 1, 0, width - 1)
+        other = shown[at]
+        to, turned = groups.position[other] - position, groups.normal[other]
+        higher, before = (to * normal).sum(axis=1), -(to * turned).sum(axis=1)
+        hollow = (other >= 0) & ((normal * turned).sum(axis=1) < ALIKE) & ((to**2).sum(axis=1) < edge**2)
+        hollow &= (higher > SUNK * edge) & (before > -SUNK * edge)
+        above = ((place - groups.position[other]) * turned).sum(axis=1) / edge
+        nearer = hollow & (above < least)
+        found[nearer], least[nearer] = turned[nearer], above[nearer]
+    return found
 
 
 def _middles(
