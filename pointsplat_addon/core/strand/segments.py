@@ -11,7 +11,7 @@ from ..numeric.lattice import Lattice
 from ..numeric.record import record
 from .levels import StrandLevels
 
-ROUND = 2.0  # pixels, along the axis of the raster across a segment: narrower ones have one shade across
+ROUND = 1.25
 THIN = 1.0  # widths of the raster's line: below it a segment is drawn as that line, in some samples
 OWN_WIDTH = -1.0  # in place of a share: the width is that of the strand, which need not be known to choose segments
 
