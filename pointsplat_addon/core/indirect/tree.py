@@ -225,11 +225,9 @@ def _placed(
     elif (shines := surfels.emission.any(axis=1)).any():
         shining = _held(shines, surfels, leaf, placed, size) > 0.5 * area
     rough = None
-    # What shines has outlines that are seen, and sheets of balls have none.
-    fine = flat & ~surfels.edge.any(axis=1) & ~surfels.scattered & ~surfels.emission.any(axis=1)
-    if surfels.raised is not None:
-        fine &= surfels.raised == 0
-    if surfels.captured is None and fine.any():
+    if surfels.fine is not None and surfels.captured is None:
+        # What shines has outlines that are seen.
+        fine = surfels.fine & ~surfels.emission.any(axis=1)
         rough = _held(fine, surfels, leaf, placed, size) > ROUGH * area
     edge = np.zeros((size, 3), f)
     half = np.zeros(size, bool)
