@@ -10,7 +10,7 @@ from ....core.numeric.record import record
 from .receivers import TURNS, Groups, Receivers
 
 WIDER = 1  # levels above those of the finest receivers
-FEWEST, WAYS = 6, 4  # receivers in a cell, and ways that these are turned, from which on it counts
+FEWEST, WAYS = 6, 5  # receivers in a cell, and ways that these are turned, from which on it counts
 # Receivers in each cell of these, on average, from which on it does: few lie in those of smooth surfaces, and even of
 # thin pipes.
 CROWDED = 2.5
