@@ -40,6 +40,7 @@
 #define PS_TIGHTENED 3.0
 // How large nodes may be whose surfaces are turned to all sides, over those that are flat: one mean radiance stands for all.
 #define PS_TURNED 0.25
+#define PS_ROUGH 2.0  // the same of what only stands for fine triangles near it, which is no corner of walls
 #define PS_LEAVES 4.0  // the same of leaves, which need not be tight
 #define PS_HAIRS 4.0  // and of hairs, of whose area half as much is seen
 #define PS_SPREAD 1.0  // radii of these: the side of the square over which one is spread
@@ -231,7 +232,8 @@ bool ps_behind(vec3 direction, float wide, float cell)
 // How large a node may be, over a cell.
 float ps_sameness(PsNode node, float along)
 {
-  float surface = (node.bits & PS_IS_ROUND) != 0 ? PS_ROUND : mix(PS_TURNED, 1.0, along * along * along);
+  float turned = (node.bits & PS_IS_ROUGH) != 0 ? PS_ROUGH : PS_TURNED;
+  float surface = (node.bits & PS_IS_ROUND) != 0 ? PS_ROUND : mix(turned, 1.0, along * along * along);
 #ifdef PS_CAPTURED
   surface = (node.bits & PS_IS_CAPTURED) != 0 ? PS_SPLATS : surface;
 #endif

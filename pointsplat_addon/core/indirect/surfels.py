@@ -32,14 +32,16 @@ class Surfels:
     captured: np.ndarray | None = None
     # (N,) float32: how far above it, on both sides, light falls on what it stands for; None: on itself
     raised: np.ndarray | None = None
+    fine: np.ndarray | None = None  # (N,) bool: it stands for triangles smaller than it, near it; None: none does
 
     def __len__(self) -> int:
         return len(self.area)
 
     def take(self, rows: np.ndarray) -> Surfels:
         """Returns the surfels `rows`, in their order."""
-        captured, raised = (None if of is None else of[rows] for of in (self.captured, self.raised))
-        return Surfels(self.origin, *(getattr(self, name)[rows] for name in ARRAYS), captured=captured, raised=raised)
+        captured, raised, fine = (None if of is None else of[rows] for of in (self.captured, self.raised, self.fine))
+        arrays = (getattr(self, name)[rows] for name in ARRAYS)
+        return Surfels(self.origin, *arrays, captured=captured, raised=raised, fine=fine)
 
     @property
     def hairs(self) -> np.ndarray:
@@ -58,7 +60,7 @@ def joined(parts: Sequence[Surfels]) -> Surfels:
     """Returns all surfels of at least one part; they have one origin."""
     arrays = (np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS)
     captured, raised = _joined(parts, "captured", bool), _joined(parts, "raised", np.float32)
-    return Surfels(parts[0].origin, *arrays, captured=captured, raised=raised)
+    return Surfels(parts[0].origin, *arrays, captured=captured, raised=raised, fine=_joined(parts, "fine", bool))
 
 
 def _joined(parts: Sequence[Surfels], name: str, dtype: type) -> np.ndarray | None:

@@ -20,6 +20,9 @@ from .surfels import Surfels
 EVEN = 12.0  # over the variance: the squared width of an even patch
 KNUD_THOMSEN = 1.6075  # exponent
 SQUARINGS = 3  # of the matrix whose largest eigenvector is looked for
+ROUGH = (
+    0.95  # share of the area of rough nodes that only stands for fine triangles: nodes at corners of walls hold some
+)
 # Columns of sums over surfels, weighted by area.
 AREA, POSITION, NORMAL, SCATTERED, PRODUCTS = 0, slice(1, 4), slice(4, 7), 7, slice(8, 14)
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # of coordinates, of PRODUCTS
@@ -48,6 +51,8 @@ class LightTree:
     captured: np.ndarray | None  # (M,) bool: most of the area belongs to captured splats; None: of no node
     # (M,) bool: most of the area emits light; None: of no node, or there are captured splats
     shining: np.ndarray | None
+    # (M,) bool: nearly all of the area only stands for fine triangles near it; None: of no node
+    rough: np.ndarray | None
     first: np.ndarray  # (M,) int32: first child; -1: a leaf
     octants: np.ndarray  # (M,) uint8: which of the eight children there are, bit by bit
     edge: np.ndarray  # (M, 3) float32: of leaves that are rectangles or triangles, as Surfels.edge; else (0, 0, 0)
@@ -219,6 +224,11 @@ def _placed(
         area = _areas_seen(surfels, leaf, placed, captured, area, position)
     elif (shines := surfels.emission.any(axis=1)).any():
         shining = _held(shines, surfels, leaf, placed, size) > 0.5 * area
+    rough = None
+    if surfels.fine is not None and surfels.captured is None:
+        # What shines has outlines that are seen.
+        fine = surfels.fine & ~surfels.emission.any(axis=1)
+        rough = _held(fine, surfels, leaf, placed, size) > ROUGH * area
     edge = np.zeros((size, 3), f)
     half = np.zeros(size, bool)
     edge[leaf], half[leaf] = surfels.edge, surfels.half
@@ -237,6 +247,7 @@ def _placed(
         solid=solid,
         captured=captured,
         shining=shining,
+        rough=rough,
         first=first,
         octants=masks[number],
         edge=edge,

@@ -207,6 +207,7 @@ def _moved(surfels: Surfels, matrices: np.ndarray) -> Surfels:
         (surfels.area * grown).reshape(-1).astype(np.float32), closed, scattered,
         np.tile(surfels.albedo, (count, 1)), np.tile(surfels.emission, (count, 1)),
         (surfels.edge @ linear.transpose(0, 2, 1)).reshape(-1, 3).astype(np.float32), np.tile(surfels.half, count),
+        fine=None if surfels.fine is None else np.tile(surfels.fine, count),
     )  # fmt: skip
 
 
@@ -220,7 +221,11 @@ def _with_look(mesh: Mesh, table: MaterialTable, made: LightSamples, kind: MeshK
     if kind[2]:
         made = _turned(made)
     position, normal, area, edge = (of.astype(np.float32) for of in (made.position, made.normal, made.area, made.edge))
-    surfels = Surfels(np.zeros(3), position, normal, area, closed, scattered, albedo, emission, edge, made.half)
+    fine = ~edge.any(axis=1) & ~scattered
+    surfels = Surfels(
+        np.zeros(3), position, normal, area, closed, scattered, albedo, emission, edge, made.half,
+        fine=fine if fine.any() else None,
+    )  # fmt: skip
     return surfels if look.alpha is None else surfels.take(np.flatnonzero(look.alpha >= CLIP))
 
 

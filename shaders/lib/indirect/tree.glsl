@@ -8,6 +8,7 @@
 #define PS_IS_ROUND (1 << 21)
 #define PS_IS_CAPTURED (1 << 22)
 #define PS_IS_SHINING (1 << 23)
+#define PS_IS_ROUGH (1 << 24)
 
 #define PS_EVEN_HAIRS 0.38314993  // 1 - (pi / 4)^2
 
@@ -42,7 +43,7 @@ PsNode ps_node(int node)
 {
   ivec2 at = ps_node_texel(node);
   vec4 a = texelFetch(ps_nodes, at, 0), b = texelFetch(ps_nodes, at + ivec2(1, 0), 0);
-  return PsNode(a.xyz, a.w, b.x, int(b.y), int(b.z), b.w);
+  return PsNode(a.xyz, a.w, abs(b.x), int(b.y), int(b.z) | (b.x < 0.0 ? PS_IS_ROUGH : 0), b.w);
 }
 
 vec3 ps_unpack_radiance(vec2 codes)

@@ -13,7 +13,7 @@ WIDER = 1  # levels above those of the finest receivers
 FEWEST, WAYS = 6, 5  # receivers in a cell, and ways that these are turned, from which on it counts
 # Receivers in each cell of these, on average, from which on it does: few lie in those of smooth surfaces, and even of
 # thin pipes.
-CROWDED = 3.0
+CROWDED = 2.5
 STEPS = 4  # of places along the edge of a cell at which is gathered
 LIFT = 0.25  # edges that these lie above the mean of what is seen: else what is next to it would hide half
 CORNERS = np.stack(np.meshgrid((0, 1), (0, 1), (0, 1), indexing="ij"), axis=-1).reshape(-1, 3)

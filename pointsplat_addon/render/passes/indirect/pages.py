@@ -26,7 +26,8 @@ def node_rows(tree: LightTree, radiance: np.ndarray) -> np.ndarray:
     """Returns the texels of nodes, (M, 16) float32; radiance: (3, M, 3), as of LightTree.radiance.
 
     texel 0  place and radius of the node
-          1  area; its first child, or for a leaf -1 less the code of its edge, 0: it has none; its octants, 8 bits,
+          1  area, less than 0 where it only stands for fine triangles near it; its first child, or for a leaf -1 less
+             the code of its edge, 0: it has none; its octants, 8 bits,
              whether it is scattered, 1 bit, how far normals lie along the axis and how thick it is along that over
              its radius, 6 bits each, whether it holds balls alone, captured splats, and what emits light, 1
              bit each; the axis
@@ -49,6 +50,8 @@ def node_shapes(tree: LightTree) -> np.ndarray:
     """Returns what the texels of nodes hold beside radiance, as node_rows."""
     found = np.zeros((len(tree), 16), np.float32)
     found[:, :3], found[:, 3], found[:, 4] = tree.position, tree.radius, tree.area
+    if tree.rough is not None:
+        found[:, 4] *= np.where(tree.rough, -1, 1)
     found[:, 5] = np.where(tree.first < 0, -1, tree.first)
     leaves = np.flatnonzero((tree.first < 0) & tree.edge.any(axis=1))
     found[leaves, 5] -= _edge_codes(tree, leaves)
