@@ -9,8 +9,8 @@ from ....core.numeric.record import value_record
 from ...passes.uniforms import SampleView
 
 # Of a tile, with 16 bytes each and about as much for its groups: 17 sub-samples of 290 x 290 pixels, of 410 x 410 in a
-# picture that is shown while it is drawn, whose viewport is mostly one tile then; and of 1280 x 720. Twice as many of one
-# that is shown save a hundredth of its time.
+# picture that is shown while it is drawn, whose viewport is mostly one tile then; and of 1280 x 720. Shown, twice as
+# many would save a hundredth of the time.
 FEWEST_CELLS, MOST_CELLS = 1 << 21, 28_000_000
 FEWEST_SHOWN_CELLS, MOST_SHOWN_CELLS = 1 << 22, 1 << 23
 IN_INSTANCE = 4  # primitives that take as much memory as the transforms of an instance
