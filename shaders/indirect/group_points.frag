@@ -1,7 +1,7 @@
 // Where the groups of a list are, and how they are turned, in the space of the light tree: one texel a group.
 //   out_place: position; depth in the view, 0: no group
 //   out_up: normal of the side that is seen; roughness, -1 where nothing is mirrored; of fibres, whose normal is that of their middle,
-//     -2 less the roughness, and -4; of narrow strands that have normals of their own, PS_OF_NARROW more than of other surfaces
+//     -2 less the roughness, and -4
 //   out_ray: PS_MIRRORS: where the eye is mirrored to; how far what the group stands for bulges above its plane
 
 #include "lib/geometry/camera.glsl"
@@ -12,8 +12,6 @@
 #include "lib/geometry/geometry.glsl"
 #include "lib/geometry/coverage.glsl"
 #include "lib/visibility/listed.glsl"
-
-#define PS_OF_NARROW 8.0
 
 void main()
 {
@@ -47,7 +45,6 @@ void main()
   bool mirrors = look.z > 0.0 || look.w != 1.0;
 #endif
   roughness = ps_is_strand(centre) ? (mirrors ? -2.0 - roughness : -4.0) : mirrors ? roughness : -1.0;
-  roughness += ps_is_narrow(centre) ? PS_OF_NARROW : 0.0;
   out_place = vec4(mat3(u.tree_from_view) * position, centre.x);
   out_up = vec4(mat3(u.tree_from_view) * normal, roughness);
 #ifdef PS_MIRRORS

@@ -75,8 +75,7 @@ void main()
 #ifdef PS_NORMAL
   vec4 normal = ps_tube_normal(segment, tube, hit);
   s.normal.xyz = normal.xyz;
-  bool narrow = ps_tube_width(tube, hit) < PS_NARROW_PIXELS;
-  s.centre.y = normal.w > 0.5 ? PS_STRAND : narrow ? PS_NARROW : 0.0;
+  s.centre.y = normal.w * PS_STRAND;
 #endif
 #else
   float along = ps_along(segment, leader.position);

@@ -11,9 +11,7 @@ from ..numeric.lattice import Lattice
 from ..numeric.record import record
 from .levels import StrandLevels
 
-ROUND = 1.25  # pixels, along the axis of the raster across a segment: narrower ones have one shade across
-# The same of segments that stand for several: as strips they have the area of these, while tubes would have their own.
-ROUND_OF_SEVERAL = 2.0
+ROUND = 2.0  # pixels, along the axis of the raster across a segment: narrower ones have one shade across
 THIN = 1.0  # widths of the raster's line: below it a segment is drawn as that line, in some samples
 OWN_WIDTH = -1.0  # in place of a share: the width is that of the strand, which need not be known to choose segments
 
@@ -29,7 +27,6 @@ class Segments:
     share: np.ndarray  # (K, 2) float32: width at both ends over that of the raster's line; or OWN_WIDTH
     strands: int  # number of strands with a segment in the list
     lattice: Lattice | None = None  # of the sub-samples that are drawn at once; None: a sample of each pixel in turn
-    several: np.ndarray | None = None  # (K,) bool: each stands for several segments; None: none does
 
     def __len__(self) -> int:
         return len(self.ends)
@@ -40,15 +37,14 @@ class Segments:
         return self.lattice is not None
 
     @property
-    def _round(self) -> np.ndarray:
-        """(K,) or (): the share from which on tubes may be seen to be round."""
-        pixels = np.float32(ROUND) if self.several is None else np.where(self.several, ROUND_OF_SEVERAL, ROUND)
-        return np.asarray(pixels if self.lattice is None else pixels / self.lattice.spacing)
+    def _round(self) -> float:
+        """The share from which on tubes may be seen to be round."""
+        return ROUND if self.lattice is None else ROUND / self.lattice.spacing
 
     def take(self, index: np.ndarray) -> Segments:
         """The segments at an index array."""
         named = {name: getattr(self, name)[index] for name in ("ends", "instance", "material", "phase", "share")}
-        return replace(self, **named, several=None if self.several is None else self.several[index])
+        return replace(self, **named)
 
     @cached_property
     def greatest_share(self) -> np.ndarray:
@@ -127,7 +123,4 @@ def concatenate_segments(parts: list[Segments]) -> Segments:
         np.concatenate(arrays)
         for arrays in zip(*((p.ends, p.instance, p.material, p.phase, p.share) for p in parts), strict=True)
     )
-    several = None
-    if any(p.several is not None for p in parts):
-        several = np.concatenate([np.zeros(len(p), bool) if p.several is None else p.several for p in parts])
-    return Segments(ends, instance, material, phase, share, sum(p.strands for p in parts), parts[0].lattice, several)
+    return Segments(ends, instance, material, phase, share, sum(p.strands for p in parts), parts[0].lattice)

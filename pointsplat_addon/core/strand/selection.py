@@ -75,7 +75,6 @@ def select(
         share[exact[strand] & (most >= LEAST_OUTLINED) & (most < THIN)] = THIN
     visible = (share[:, 0] != 0) | (share[:, 1] != 0)
     first, last, share, strand = first[visible], last[visible], share[visible], strand[visible]
-    several = simplified[visible] if simplified.any() else None
     return Segments(
         np.stack([first, last], axis=1).astype(np.int32),
         np.full(len(first), instance, np.int32),
@@ -84,7 +83,6 @@ def select(
         share,
         int(np.count_nonzero(np.diff(strand)) + 1) if len(strand) else 0,
         lattice,
-        several,
     )
 
 

@@ -4,8 +4,6 @@
 // Of what extends over its own pixel only, centre.y says whether it is a strand, whose normal is its tangent; else it is 0 or
 // the spread of a group's normals (lib/visibility/normal_spread.glsl), which is never less.
 #define PS_STRAND -1.0
-// And that it is one that has normals of its own but is not wide enough for light to change much across it.
-#define PS_NARROW -0.25
 // And centre.z is 0 where its normal is that of its plane, on either side; else 1 + the packed normal of the plane, on the side
 // that is seen, as the normal is; of groups of sub-samples shape.z is how far what it stands for bulges above it, in pixels: half
 // floats hold these in worlds of any size.
@@ -31,12 +29,6 @@ bool ps_is_there(vec4 centre)
 bool ps_is_strand(vec4 centre)
 {
   return centre.w <= PS_POLYGON && centre.y < 0.5 * PS_STRAND;
-}
-
-// A narrow strand that has normals of its own.
-bool ps_is_narrow(vec4 centre)
-{
-  return centre.w <= PS_POLYGON && centre.y < 0.5 * PS_NARROW && !ps_is_strand(centre);
 }
 
 uint ps_strand_number(vec4 centre)

@@ -45,14 +45,7 @@ PsTube ps_tube(PsSegment segment)
 }
 
 #ifdef PS_NORMAL
-#define PS_NARROW_PIXELS 4.0  // up to which what falls on a tube is gathered as on those around it
-#define PS_FIBRE_PIXELS 1.0  // of width: what is narrower is shaded as a whole
-
-// In pixels, where a ray meets it.
-float ps_tube_width(PsTube tube, PsHit hit)
-{
-  return 2.0 * mix(tube.from.w, tube.to.w, hit.along) / ps_pixel_size(hit.d);
-}
+#define PS_FIBRE_PIXELS 2.0  // of width: what is narrower is shaded as a whole
 
 // The normal where a ray meets a tube; w: 0. What is too narrow for normals of its own, and hair, has its tangent; w: 1.
 vec4 ps_tube_normal(PsSegment segment, PsTube tube, PsHit hit)
@@ -60,7 +53,7 @@ vec4 ps_tube_normal(PsSegment segment, PsTube tube, PsHit hit)
   mat3 linear = ps_linear(segment.instance);
   vec3 tangent = normalize(linear * mix(texelFetch(ps_tangent, segment.from, 0).xyz,
                                         texelFetch(ps_tangent, segment.to, 0).xyz, hit.along));
-  float width = ps_tube_width(tube, hit);
+  float width = 2.0 * mix(tube.from.w, tube.to.w, hit.along) / ps_pixel_size(hit.d);
   int material = int(segment.material < -0.5 ? -1.0 - segment.material : segment.material);
   bool fibre = width < PS_FIBRE_PIXELS || texelFetch(ps_materials, ivec2(3, material), 0).x > 0.5;
   // Round along the strand as well: across its own tangent, not the segment's.

@@ -3,7 +3,7 @@
 
 #include "lib/geometry/camera.glsl"
 
-#define PS_FIBRE_PIXELS 1.0  // of width: what is narrower is shaded as a whole
+#define PS_FIBRE_PIXELS 2.0  // of width: what is narrower is shaded as a whole
 
 // The hull of two balls, (centre, radius), cut off by the planes in which the strand ends: what is kept has
 // dot(plane.xyz, p) + plane.w >= 0.

@@ -33,7 +33,6 @@ RIM = 0.4  # cosine to the eye below which what mirrors gathers, as that changes
 SHARPER = 3.0  # than which a lobe is that does; wider ones, as of grass, change as slowly as what falls on a surface
 MIRRORS, ROUGHNESSES = 48, 64  # steps of mirrored views, each way of an octahedron, and of roughness
 NOT_KNOWN = (None, None)
-OF_NARROW = 8.0  # added to the roughness of narrow strands that have normals of their own
 MATTE_FIBRE = -4.0  # in place of the roughness of fibres, which mirror nothing; others have -2 less theirs
 # Places across a fibre, over half its width, and their weights (Gauss and Legendre).
 ACROSS = (0.0, 8 / 18), (0.6**0.5, 5 / 18), (-(0.6**0.5), 5 / 18)
@@ -91,13 +90,11 @@ class GroupsInIndirectLight:
         count = len(entries)
         held = "ps_places", "ps_ups", *(() if mirrors is None else ("rays",))
         place, up, *rays = (device.read(lists.textures[name]).reshape(-1, 4)[:count] for name in held)
-        narrow = up[:, 3] > 0.5 * OF_NARROW
-        up[narrow, 3] -= OF_NARROW
         if self._light.occlusion:
             up[:, 3] = np.where(is_fibre(up[:, 3]), MATTE_FIBRE, -1)  # nothing is mirrored
         eye = view.world_from_view[:3, 3] - self._light.origin
         to_eye = directions_to_eye(view, place[:, :3])
-        groups = Groups(eye, place[:, :3] + eye, up[:, :3], place[:, 3], entries[:, 0].astype(np.int64), narrow)
+        groups = Groups(eye, place[:, :3] + eye, up[:, :3], place[:, 3], entries[:, 0].astype(np.int64))
         if mirrors is None or not mirrors.trace(groups, up[:, 3]):
             self._receive(view, lists, listed, groups, place, up, to_eye)
             return lists.received
@@ -209,12 +206,11 @@ class GroupsInIndirectLight:
         rim = (up[:, 3] >= 0) & ((up[:, :3] * to_eye).sum(axis=1) < RIM) & (lobe_sharpness(up[:, 3]) > SHARPER)
         fibres = is_fibre(up[:, 3])
         sharing = chosen if directly else chosen.none
-        # Of strands all share what is gathered in a cell: it tells what falls on them from all sides.
-        strands = fibres if groups.narrow is None else fibres | groups.narrow
-        of_strands = strands[sharing.rows]
-        scattered = [(scattered_cells(groups, sharing.without_tiles(~of_strands)), ~strands)]
-        if of_strands.any():
-            scattered.append((scattered_cells(groups, sharing.without_tiles(of_strands), every=True), strands))
+        # Of fibres all share what is gathered in a cell: it tells what falls on them from all sides.
+        of_fibres = fibres[sharing.rows]
+        scattered = [(scattered_cells(groups, sharing.without_tiles(~of_fibres)), ~fibres)]
+        if of_fibres.any():
+            scattered.append((scattered_cells(groups, sharing.without_tiles(of_fibres), every=True), fibres))
         for side in SIDES:
             fewest = side * side // FEWEST_SHARE
             wanted = chosen if side == TILE else choose_receivers(groups, view, side, fewest, False)

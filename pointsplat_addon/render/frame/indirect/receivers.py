@@ -53,7 +53,6 @@ class Groups:
     normal: np.ndarray  # (N, 3) float32, unit
     depth: np.ndarray  # (N,) float32; 0: there is none
     pixel: np.ndarray  # (N,) int64, row by row
-    narrow: np.ndarray | None = None  # (N,) bool: strands that are narrow but have normals of their own; None: none are
 
 
 def sites_of(groups: Groups, rows: np.ndarray, level: np.ndarray, view: SampleView, sole: np.ndarray | None) -> Sites:
