@@ -336,10 +336,8 @@ def test_a_shadow_catcher_stands_for_captured_surfaces():
     scene = sync()
     np.testing.assert_array_equal(scene.instances.matte, [True])
     (geometry,) = scene.geometries
-    assert (geometry.primitive, geometry.mesh.materials) == (
-        "POLYGONS",
-        (1,),
-    )  # the light that it sends has its own colour
+    # The light that it sends has its own colour.
+    assert (geometry.primitive, geometry.mesh.materials) == ("POLYGONS", (1,))
 
 
 def drawn(ob) -> list[str]:

@@ -20,9 +20,7 @@ from .surfels import Surfels
 EVEN = 12.0  # over the variance: the squared width of an even patch
 KNUD_THOMSEN = 1.6075  # exponent
 SQUARINGS = 3  # of the matrix whose largest eigenvector is looked for
-ROUGH = (
-    0.95  # share of the area of rough nodes that only stands for fine triangles: nodes at corners of walls hold some
-)
+ROUGH = 0.95  # of the area of rough nodes only stands for fine triangles: nodes at corners of walls hold some
 # Columns of sums over surfels, weighted by area.
 AREA, POSITION, NORMAL, SCATTERED, PRODUCTS = 0, slice(1, 4), slice(4, 7), 7, slice(8, 14)
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # of coordinates, of PRODUCTS

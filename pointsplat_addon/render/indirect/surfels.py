@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,8 +39,15 @@ MOST_IN_SHEETS = 1 << 18  # balls of a cloud by which its sheets are found
 # others is a lump, beside which light passes.
 FINER_HAIRS = 6
 MANY_INSTANCES = 16  # of a geometry, from which on they share samples
-# Of a mesh: whether nobody sees its backs, whether it is leaves, and whether its backs are its outside.
-MeshKind = tuple[bool, bool, bool]
+AS_ONE = 0.01  # of half a mesh's box: places that lie nearer to each other are in it, or out of it, together
+
+
+class MeshKind(NamedTuple):
+    """What surfels of a mesh have in common."""
+
+    hidden: bool  # nobody sees its backs
+    leaves: bool
+    turned: bool  # its backs are its outside
 
 
 def scene_density(scene: Scene, camera: Camera, store: Store) -> tuple[Density, np.ndarray]:
@@ -69,7 +77,9 @@ def scene_density(scene: Scene, camera: Camera, store: Store) -> tuple[Density, 
     for row in np.flatnonzero(shown & within.any(axis=0)).tolist():
         mesh, matrix = scene.geometries[scene.instances.geometry[row]].mesh, matrices[row]
         if mesh is not None and _is_closed(mesh, store) and np.linalg.det(matrix[:3, :3]) != 0:
-            places = np.linalg.solve(matrix[:3, :3], (begins[within[:, row]] - matrix[:3, 3]).T).T
+            places = begins[within[:, row]]
+            places = places[: 1 if np.ptp(places, axis=0).max() < AS_ONE * around[row].max() else None]
+            places = np.linalg.solve(matrix[:3, :3], (places - matrix[:3, 3]).T).T
             holds_eye[row] = (np.abs(winding_number(mesh, places)) > 0.5).any()
     return Density(camera, world, around, holds_eye), origin
 
@@ -136,13 +146,14 @@ def _surfels(
         scattered = leaves and not closed
         if len(matrices) < MANY_INSTANCES:
             shown = (shown_by(mesh, scene.instances, row) for row in rows.tolist())
-            kinds = zip(hidden.tolist(), [scattered] * len(rows), other.tolist(), strict=True)
-            each = zip(shown, matrices, spacings, kinds, strict=True)
-            return [_of_mesh(own, table, one, at, kind) for own, one, at, kind in each]
+            each = zip(shown, matrices, spacings, hidden.tolist(), other.tolist(), strict=True)
+            return [
+                _of_mesh(own, table, one, at, MeshKind(back, scattered, turned)) for own, one, at, back, turned in each
+            ]
         found = []
         for back, turned in np.unique(np.stack([hidden, other], axis=1), axis=0).tolist():
             some = (hidden == back) & (other == turned)
-            kind = back, scattered, turned
+            kind = MeshKind(back, scattered, turned)
             found += _of_instances(mesh, table, matrices[some], density.apart[rows[some]], kind)
         return found
     if geometry.cloud is not None and len(geometry.cloud) and not is_translucent(geometry, table):
@@ -217,8 +228,8 @@ def _with_look(mesh: Mesh, table: MaterialTable, made: LightSamples, kind: MeshK
     look = scattered_at(mesh, samples, table)
     rows = np.minimum(material_ids(mesh, samples), len(table) - 1)
     albedo, emission = _look(rows, look.color, look.surface, look.emission, table)
-    closed, scattered = (np.full(len(samples), flag) for flag in kind[:2])
-    if kind[2]:
+    closed, scattered = np.full(len(samples), kind.hidden), np.full(len(samples), kind.leaves)
+    if kind.turned:
         made = _turned(made)
     position, normal, area, edge = (of.astype(np.float32) for of in (made.position, made.normal, made.area, made.edge))
     fine = ~edge.any(axis=1) & ~scattered

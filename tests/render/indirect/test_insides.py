@@ -9,6 +9,8 @@ from pointsplat_addon.core.indirect.closed import is_closed
 from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.scene.world import World
+from pointsplat_addon.render.frame.indirect.receivers import Groups, sites_of
+from pointsplat_addon.render.passes.uniforms import SampleView
 from scripts.scenes import drawing
 from scripts.scenes.build import materials, mesh, moved, scene
 from scripts.scenes.cameras import camera
@@ -73,3 +75,15 @@ def test_a_white_ball_on_a_white_floor_is_as_bright_as_the_sky(inwards):
     shown = drawing.render(Case(white, seen, replace(SETTINGS, bounces=12)), frozenset({"combined"})).pixels["combined"]
     off = shown[..., 0] - 1
     assert np.sqrt((off**2).mean()) < 0.02  # 0.0179; inwards 0.056, where its outside was as black as insides are
+
+
+def test_places_between_surfaces_that_face_each_other_are_finite():
+    """Two pixels show a floor and what lies above it, turned downwards: no step in its plane leads away from that."""
+    seen = camera((0.0, -3.0, 0.5), (0, 0, 0), (2, 1))
+    position = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.02]])
+    normal = np.array([[0, 0, 1], [0, 0, -1]], np.float32)
+    groups = Groups(np.array([0.0, -3.0, 0.5]), position, normal, np.full(2, 3.0, np.float32), np.arange(2))
+    with np.errstate(all="raise"):
+        found = sites_of(groups, np.arange(2), np.zeros(2), SampleView(seen, 0.1, 100.0), None)
+    assert np.isfinite(found.position).all()
+    np.testing.assert_array_equal(found.normal, normal)

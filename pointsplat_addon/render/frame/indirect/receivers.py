@@ -21,6 +21,7 @@ TURNS = 2  # steps of normals along each axis, either way
 ALIKE = 0.95  # cosine between normals of a receiver and of what the picture shows where its cell's middle is
 SAME_PLANE, SUNK = 0.1, 0.01  # edges that the middle may lie above that, and below: in hollows it would be in the dark
 LIFT = 0.05  # edges that sites are raised: what stands for a curved surface lies now above, now below it
+FACING = 1e-3  # sine between normals of surfaces that face each other
 CORNERS = 2  # walls, at most, that sites are kept away from
 WIDEST = 1.5  # edges of cells over the side of the squares of pixels that they stand for, at most; half of it at least
 
@@ -77,9 +78,9 @@ def sites_of(groups: Groups, rows: np.ndarray, level: np.ndarray, view: SampleVi
         moved = np.flatnonzero(away.any(axis=1))
         if len(moved) == 0:
             break
-        # By a step of the lattice, in the group's plane.
+        # By a step of the lattice, in the group's plane; not where they face each other.
         along = away[moved] - (away[moved] * normal[moved]).sum(axis=1, keepdims=True) * normal[moved]
-        along *= (edge[moved] / FINE)[:, None] / np.linalg.norm(along, axis=1, keepdims=True)
+        along *= (edge[moved] / FINE)[:, None] / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), FACING)
         beside = beside.copy()
         beside[moved] += along
         near = sites(beside, normal, level, FINE)
