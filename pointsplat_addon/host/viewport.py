@@ -15,7 +15,8 @@ from ..core.scene import camera as camera_module
 from ..core.scene import scene as scene_module
 from ..core.scene import settings as settings_module
 from ..core.splat.pixel_radii import with_pixel_radii
-from ..render.budget.lighting import KnownLight, Lighting
+from ..render.budget.following import Following
+from ..render.budget.known_light import KnownLight
 from ..render.budget.viewport import Arrivals, Moving, Pace, Refining, wait
 from ..render.device.protocol import DeviceError
 from ..render.frame.frame import Frame
@@ -45,7 +46,7 @@ class Viewport:
         self._frame: Frame | None = None
         self._view: tuple | None = None  # what the frame depends on besides the scene, settings first
         self._pacing: Moving | Refining | None = None  # keeps the frame within its budget
-        self._lighting: Lighting | None = None  # brings indirect light into a view that stands still
+        self._following: list[Following] = []  # pictures that take the place of the frame, of a view that stands still
         self._known: KnownLight | None = None  # by which views are lit until then
         self._coarse = False
         self._pace = Pace()
@@ -98,10 +99,13 @@ class Viewport:
             return
         begun, began = self._begun, time.perf_counter()
         frame = self._frame_for(self._scene, camera, settings, pixel_size(depsgraph.scene_eval.render))
-        more = frame.sample() if self._pacing is None else self._pacing.sample(frame)
+        more = not frame.complete
+        if more:
+            more = frame.sample() if self._pacing is None else self._pacing.sample(frame)
+            more = more or bool(self._following)  # which begin once this one is shown
+        else:
+            frame, more = self._followed(frame)
         streamed = frame.frame_plan.streamed
-        if not (more or self._coarse or self._hasty):
-            frame, more = self._lit(frame)
         if streamed is not None and self._begun != begun:
             self._arrivals.drawn(began, time.perf_counter() - began, self._hasty)
         if self._coarse and self._begun != begun:
@@ -115,20 +119,24 @@ class Viewport:
         if streamed is not None and (streamed.waiting or self._hasty):
             page_arrivals.watch()
 
-    def _lit(self, frame: Frame) -> tuple[Frame, bool]:
-        """The frame that is shown once this one is complete: with indirect light, as soon as it has all samples; and
-        whether there is more to do."""
-        lighting = self._lighting
-        if lighting is None:
+    def _followed(self, frame: Frame) -> tuple[Frame, bool]:
+        """The frame that is shown once this one is complete, and whether there is more to do: that with more
+        sub-samples at once as soon as it has a sample, that with indirect light as soon as it has them all."""
+        if self._following and not (self._following[0].gathers or frame.frame_plan.followed):
+            del self._following[0]
+        if not self._following:
             return frame, False
-        lighting.go_on()
-        if lighting.done:
-            self._lighting = None
-            if lighting.frame is not None:
-                self._keep_light(lighting.frame)
+        following = self._following[0]
+        frame.keep_shown()
+        following.go_on()
+        if following.done or (not following.gathers and following.frame is not None and following.frame.done > 0):
+            del self._following[0]
+            if following.frame is not None:
                 frame.release()
-                frame = self._frame = lighting.frame
-        return frame, not lighting.done
+                frame = self._frame = following.taken()
+                if following.gathers:
+                    self._keep_light(frame)
+        return frame, bool(self._following) or not frame.complete
 
     def _keep_light(self, frame: Frame) -> None:
         """Keeps the light of a picture that has gathered it, for views that move and for the next picture until its
@@ -177,6 +185,7 @@ class Viewport:
             settings.viewport_samples,
             interactive=True,
             moving=self._coarse,
+            few=True,
         )
         self._pacing = None
         if self._coarse and settings.budget == "TIME":
@@ -201,11 +210,20 @@ class Viewport:
             )
         if self._pacing is not None:
             request = self._pacing.request
-        if with_indirect and not (self._coarse or self._hasty):
-            lit = replace(request, settings=replace(request.settings, use_indirect=True))
-            again = Refining(lit) if isinstance(self._pacing, Refining) else None
-            self._lighting = Lighting(renderer, scene, lit, Frame.sample if again is None else again.sample)
-        self._frame = renderer.start(scene, request, known=None if self._known is None else self._known.light)
+        known = None if self._known is None else self._known.light
+        if not (self._coarse or self._hasty):
+            if self._pacing is None:
+                request = replace(request, first=True)
+                following = replace(request, few=False, first=False)
+                self._following.append(Following(renderer, scene, following, known))
+            else:
+                following = request
+            if with_indirect:
+                lit = replace(following, settings=replace(request.settings, use_indirect=True))
+                again = Refining(lit) if isinstance(self._pacing, Refining) else None
+                sample = Frame.sample_tile if again is None else again.sample
+                self._following.append(Following(renderer, scene, lit, sample=sample))
+        self._frame = renderer.start(scene, request, known=known)
         return self._frame
 
     def _reads_pages(self, scene: scene_module.Scene) -> bool:
@@ -228,9 +246,10 @@ class Viewport:
         """Release the frame, so that the next drawing starts another."""
         if self._frame is not None:
             self._frame.release()
-        if self._lighting is not None:
-            self._lighting.release()
-        self._frame = self._lighting = None
+        for following in self._following:
+            following.release()
+        self._following.clear()
+        self._frame = None
 
 
 def _present(frame: Frame, camera: camera_module.Camera, smooth: bool) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from ..core.lod.cost import DEFAULT
 from ..core.scene.scene import Scene
 from .budget import budgeted, pacing
-from .budget.lighting import KnownLight
+from .budget.known_light import KnownLight
 from .budget.watch import Watch
 from .cache.device_cache import DeviceCache
 from .cache.store import Store

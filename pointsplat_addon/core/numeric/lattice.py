@@ -81,12 +81,12 @@ def lattice_of(sub_samples: int) -> Lattice:
     return next(lattice for lattice in (ONE, FEW, MANY) if lattice.count == sub_samples)
 
 
-def lattice_for(samples: int, interactive: bool) -> Lattice:
-    """Returns the lattice of a picture that is asked for with so many samples; `interactive`: of a view that moves,
-    which is refined by more lattices of few sub-samples."""
+def lattice_for(samples: int, few: bool) -> Lattice:
+    """Returns the lattice of a picture that is asked for with so many samples; `few`: its first sub-samples are there
+    soon, and more lattices of few follow them."""
     if samples <= ONE.count:
         return ONE
-    return FEW if interactive or samples <= FEW.count else MANY
+    return FEW if few or samples <= FEW.count else MANY
 
 
 ONE, FEW, MANY = Lattice(1, 0), Lattice(2, 1), Lattice(4, 1)  # 1, 5 and 17 sub-samples

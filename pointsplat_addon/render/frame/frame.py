@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -111,6 +111,7 @@ class Frame:
         # Of what lies under the pixels' centres, where it is known.
         self.central: GBuffer | None = None
         self.depths: CentreDepths | None = None
+        self._drawing: Iterator[None] | None = None  # the sample that is being drawn
         self._darkened = 0  # samples in the picture with eye-dome lighting
         self._turns = sample_offsets(self.frame_plan.request.samples)
         self._data = DataPasses(self.frame_plan.scene, self.frame_plan.request)
@@ -276,10 +277,22 @@ class Frame:
     def sample(self) -> bool:
         """Draws one more sample; returns False when there were enough. Cancelled: gathering indirect light was put off;
         the frame can only be released."""
+        while True:
+            more = self.sample_tile()
+            if self._drawing is None:
+                return more
+
+    def sample_tile(self) -> bool:
+        """Draws one more tile of a sample, or its beginning where gathering indirect light is put off, from which it
+        goes on; returns and raises what `sample` does. Nothing of the picture can be had until `done` has grown."""
         if self.complete:
             return False
         if not self.frame_plan.trivial:
-            self._draw_sample(self.done == self.first)
+            if self._drawing is None:
+                self._drawing = self._draw_sample(self.done == self.first)
+            if next(self._drawing, True) is None:
+                return True
+            self._drawing = None
         self.done += 1
         if self.adaptive is not None and not self.complete:
             adaptive = self.adaptive
@@ -303,7 +316,8 @@ class Frame:
         last = request.samples if request.moment[1] == 1 else self.first + 1
         return self.ended or self.done >= last or (self.adaptive is not None and self.adaptive.finished)
 
-    def _draw_sample(self, first: bool) -> None:
+    def _draw_sample(self, first: bool) -> Iterator[None]:
+        """Draws a sample. Stops between its tiles, and where gathering is put off."""
         plan = self.frame_plan.plan
         if self.lens is not None:
             self.view = self.lens.view(self.done, self.uploads)
@@ -316,7 +330,7 @@ class Frame:
         if self.lit is not None:
             self._light(self.lit)
         if self.visibility is not None:
-            self._draw_visible(self.visibility, view, first)
+            yield from self._draw_visible(self.visibility, view, first)
         else:
             self._draw_shifted(view, first)
         if self.lit is not None and plan.translucent is not None and plan.translucent.depth and first:
@@ -347,13 +361,13 @@ class Frame:
         if self.translucent is not None:
             self._draw_translucent(self.translucent, view, first)
 
-    def _draw_visible(self, visibility: Visibility, view: SampleView, first: bool) -> None:
-        """Draws a sample that is a whole lattice of sub-samples."""
+    def _draw_visible(self, visibility: Visibility, view: SampleView, first: bool) -> Iterator[None]:
+        """Draws a sample that is a whole lattice of sub-samples; stops as _draw_sample does."""
         assert self.targets.visibility is not None
         central, identify = first and self.frame_plan.plan.central, self._data.every_sample
         coarse = first and self.frame_plan.plan.coarse
         sums = self.targets.sum_target if self.targets.sums else None
-        shown = visibility.draw(view, sums, central, identify, coarse)
+        shown = yield from visibility.draw(view, sums, central, identify, coarse)
         if central:
             self.central, self.depths = self.targets.visibility.central, self.targets.visibility.depths
             if self.frame_plan.plan.data:
@@ -578,8 +592,19 @@ class Frame:
     def _cropped(self, texture: Texture) -> np.ndarray:
         return self.frame_plan.cropped(self.device.read(texture))
 
+    def keep_shown(self) -> None:
+        """Frees what drawing samples needs most memory for: from then on what is drawn can only be presented."""
+        visibility = None if self._lent is None else self.targets.visibility
+        if visibility is None:
+            return
+        # As they are others cannot borrow them.
+        self._lent = None
+        self._own(self.targets)
+        visibility.release_cells()
+
     def release(self) -> None:
         """Frees everything on the device that only this picture needs."""
+        self._drawing = None
         self.clock.release()
         for item in self._owned:
             item.release()

@@ -75,6 +75,7 @@ class FramePlan:
     left_out: tuple[tuple[str, str], ...]  # (pass, or part of the scene; reason)
     warnings: tuple[str, ...]
     streamed: Streamed | None = None  # what is read by pages
+    followed: bool = False  # by a picture that draws more sub-samples at once, see Request
 
     @property
     def trivial(self) -> bool:
@@ -201,7 +202,7 @@ def make_frame_plan(
     if captured and camera.aperture is not None:
         # The pass `defocus` has no captured splats.
         request = replace(request, settings=replace(request.settings, dof_method="LENS_SAMPLES"))
-    lattice = FEW if request.moment[1] > 1 else lattice_for(request.samples, request.interactive)
+    lattice = FEW if request.moment[1] > 1 else lattice_for(request.samples, request.few)
     through_lens = uses_lens_samples(camera, request.settings) and request.samples > 1
     decided = decide_technique(
         TechniqueInput(request.settings, scene, request.samples, request.interactive, through_lens, limits.float_blend)
@@ -256,10 +257,14 @@ def make_frame_plan(
     sub_samples = 0
     # What is translucent alone takes all sub-samples at once, too, where there are several of them. But tables of
     # lights with a size are looked at from other points of these in each sample.
-    several = picture and request.samples > 1 and not request.interactive
+    several = picture and request.samples > 1
     hard = shadows is None or shadows.tables is None or shadows.tables.packed.no_light_has_size
     alone = bool(prepared.translucent.point_sets) and several and hard
-    if technique.name == "VISIBILITY" and (_has_opaque(prepared) or alone):
+    in_lattices = technique.name == "VISIBILITY" and (_has_opaque(prepared) or alone)
+    followed = in_lattices and request.first and request.samples > lattice.count
+    if followed:
+        request = replace(request, samples=1)
+    if in_lattices and (_has_opaque(prepared) or not request.few):
         sub_samples = lattice.count
         if request.moment[1] == 1:
             request = replace(request, samples=-(-request.samples // sub_samples))
@@ -317,6 +322,7 @@ def make_frame_plan(
             *(streamed.warnings if streamed else ()),
         ),
         streamed=streamed,
+        followed=followed,
     )
 
 
@@ -343,6 +349,7 @@ def _prepared(
         costs=costs,
         node=request.node,
         coarse=request.coarse,
+        few=request.few,
     )
 
 

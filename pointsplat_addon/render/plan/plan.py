@@ -68,6 +68,11 @@ class Plan:
         return self.translucent is not None and self.translucent.gathered
 
     @property
+    def gathers_by_tile(self) -> bool:
+        """Whether all gathering is part of drawing a tile, which goes on from it where it is put off."""
+        return self.indirect and not (self.defocus or self.panes or self.gathers_media)
+
+    @property
     def solid(self) -> bool:
         """Whether something is in the G-buffer."""
         return self.points or self.polygons or self.spheres or self.lines

@@ -85,7 +85,7 @@ def ball_tree_if_it_pays(view: View, points: PointSet, view_from_object: np.ndar
         drawn = len(cloud) * len(view_from_object)
         if drawn < BALLS_PER_PIXEL * width * height:
             return None
-        lattices = -(-view.samples // lattice_for(view.samples, view.interactive).count)
+        lattices = -(-view.samples // lattice_for(view.samples, view.few).count)
         if drawn <= MOST_PRIMITIVES:
             if view.interactive and len(cloud) >= MIN_BALLS:
                 store.make_later(key, lambda: build_ball_tree(points.cloud))

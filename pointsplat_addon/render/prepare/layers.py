@@ -104,7 +104,7 @@ def with_ball_nodes(
     if not sets:
         return layer, nodes
     # Few sub-samples show less than many of what nodes leave out, up to nodes of two pixels.
-    spacing = lattice_for(view.samples, view.interactive).spacing
+    spacing = lattice_for(view.samples, view.few).spacing
     tolerance = finest = view.settings.tolerance * min(spacing / MANY.spacing, 2.0)
     where = {key: np.flatnonzero(set_of_instance == key) for key in sets}
     while True:

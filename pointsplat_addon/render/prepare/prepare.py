@@ -89,6 +89,7 @@ def prepare(
     costs: Costs = DEFAULT,
     node: float = NODE_SIZE,
     coarse: bool = False,
+    few: bool = False,
 ) -> Prepared:
     """Chooses, samples and cuts everything that `camera` sees.
 
@@ -96,11 +97,11 @@ def prepare(
     hierarchies are built on another thread and used once they are ready. `moving`: and finely once nothing moves.
     `check` is called between geometries, and may raise to stop. `costs`: of drawing on the device. `node`: size of
     out-of-focus nodes, see core/splat/blur.py. `coarse`: there is no time for one sample at the tolerance that was
-    asked for.
+    asked for. `few`: see lattice_for.
     """
     view_from_object, usable = _transforms(scene.instances, camera)
     blur = defocus_blur(camera, node) if settings.dof_method == "SPLAT" else None
-    view = View(scene, camera, settings, samples, interactive, moving, store, check, costs, blur, coarse)
+    view = View(scene, camera, settings, samples, interactive, moving, store, check, costs, few, blur, coarse)
     focus = None
     if blur is not None:
         focus = FocusSorter(scene, camera, blur, min(settings.tolerance, COARSEST_TOLERANCE), store, view_from_object)
@@ -310,7 +311,7 @@ def _strand_segments(
         if len(levels) == 0:
             continue
         tolerance = view.settings.tolerance
-        lattice = lattice_for(view.samples, view.interactive) if view.settings.technique == "VISIBILITY" else None
+        lattice = lattice_for(view.samples, view.few) if view.settings.technique == "VISIBILITY" else None
         parts = [select(levels, view_from_object[i], i, view.camera, tolerance, lattice) for i in where.tolist()]
         parts = [part for part in parts if len(part)]
         if parts:

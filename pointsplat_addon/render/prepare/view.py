@@ -27,6 +27,7 @@ class View:
     store: Store
     check: Callable[[], None]  # called between geometries; may raise to stop
     costs: Costs  # of drawing on the device
+    few: bool  # sub-samples are drawn at once, see lattice_for
     blur: Blur | None  # of splats that are out of focus; None: no primitive becomes such splats
     coarse: bool = False  # the time budget does not allow one sample at the requested tolerance
     warnings: list[str] = field(default_factory=list)  # steps append to it; there may be duplicates

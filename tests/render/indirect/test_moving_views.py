@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.camera import Camera
-from pointsplat_addon.render.budget.lighting import KnownLight
+from pointsplat_addon.render.budget.known_light import KnownLight
 from pointsplat_addon.render.indirect import bake
 from pointsplat_addon.render.indirect.light import IndirectLight
 from pointsplat_addon.render.plan.request import Request

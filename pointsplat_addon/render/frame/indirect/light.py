@@ -62,6 +62,11 @@ class GroupsInIndirectLight:
         self._mirrors = mirrors
         self._mirrored: Texture | None = None  # what the last list shows, with sharp mirrors
 
+    @property
+    def goes_on(self) -> bool:
+        """Whether gathering that was put off may go on later."""
+        return self._slices is not None and not self._slices.endless
+
     def gather(self, view: SampleView, surfaces: GBuffer, listed: Texture, entries: np.ndarray) -> dict[str, Texture]:
         """Returns what shading reads, by sampler name. Cancelled: gathering was put off.
 

@@ -7,12 +7,13 @@ over the picture by the pixel filter.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 
 import numpy as np
 
 from ....core.numeric.linear import are_similarities
 from ....core.numeric.pixel_filter import MOVED, edge_share, filter_reach, filter_weights
+from ...device.clock import Cancelled
 from ...device.protocol import Device, Target, Texture
 from ...passes.gbuffer import GBuffer, Variant
 from ...passes.grouping.groups import Leaders
@@ -79,8 +80,9 @@ class Visibility:
         central: bool,
         identify: bool,
         coarse: bool,
-    ) -> np.ndarray | None:
-        """Draws all sub-samples of one view, and adds what they show to the sums; None: nothing is shaded.
+    ) -> Generator[None, None, np.ndarray | None]:
+        """Draws all sub-samples of one view, and adds what they show to the sums; None: nothing is shaded. Stops
+        between two tiles, and where gathering indirect light is put off.
 
         `central`: what lies under the pixels' centres is written into targets.central, or its depth into
         targets.depths. `coarse`: translucent splats are drawn at a lower resolution. Returns the instance and the
@@ -88,12 +90,14 @@ class Visibility:
         """
         found, (width, height) = None, view.size
         for tile in self.tiles:
+            if tile is not self.tiles[0]:
+                yield
             seen = tile.view(view)
             self._number_primitives(seen)
             self._targets.buffer.clear()
             self._draw_primitives(seen)
             if sums is not None:
-                shaded = self._shade(seen, tile, sums)
+                shaded = yield from self._shade(seen, tile, sums)
                 if self._translucent is not None:
                     self._translucent.draw(seen, tile, shaded, self.weights(seen), coarse)
                 if self._panes is not None:
@@ -126,8 +130,9 @@ class Visibility:
         if self._plan.lines:
             self._strands = StrandCover(self._device, strand_draws(self._uploads, first), self._targets.buffer)
 
-    def _shade(self, view: SampleView, tile: PictureTile, sums: Target) -> dict[str, Texture]:
-        """Shades the groups of a tile, and adds them to the sums; returns what they show, by sampler name."""
+    def _shade(self, view: SampleView, tile: PictureTile, sums: Target) -> Generator[None, None, dict[str, Texture]]:
+        """Shades the groups of a tile, and adds them to the sums; returns what they show, by sampler name. Stops where
+        gathering is put off."""
         targets, groups, run = self._targets, self._targets.groups, self._run
         run("group", lambda: self._group(view))
         assert groups.leaders is not None
@@ -139,8 +144,13 @@ class Visibility:
         if self._plan.solid:
             run("attributes", lambda: self._write_attributes(view, leaders, lists.surfaces, self._plan.variant))
             received: dict[str, Texture] = {}
-            if self._indirect is not None:
-                run("gather", lambda: received.update(self._received(view, lists.surfaces, leaders)))
+            while self._indirect is not None and not received:
+                try:
+                    run("gather", lambda: received.update(self._received(view, lists.surfaces, leaders)))
+                except Cancelled:
+                    if not self._indirect.goes_on:
+                        raise
+                    yield  # and goes on with what is not known yet
             run(
                 "shade",
                 lambda: self._shading.shade_groups(

@@ -40,9 +40,9 @@ class VisibilityTargets:
         self.central_leaders: Leaders | None = None
         self.depths: CentreDepths | None = None  # of what lies there, where only its depth is shown
         if plan.central and not plan.data:
-            self.depths = self._own(CentreDepths(device, size))
+            self.depths = CentreDepths(device, size)
         elif plan.central:
-            self.central = self._own(GBuffer(device, plan.data_variant, size))
+            self.central = GBuffer(device, plan.data_variant, size)
             self.central_leaders = self._own(Leaders(device, of_tile, central=True))
         self.behind: Texture | None = None  # what open sub-samples show
         if plan.background and plan.picture:
@@ -76,12 +76,21 @@ class VisibilityTargets:
         self._owned.append(item)
         return item
 
-    def release(self) -> None:
+    def release_cells(self) -> None:
+        """Releases all but what lies under the pixels' centres, which is shown with the picture."""
         for lists in (self._lists, self._lists_of_panes):
             if lists is not None:
                 lists.release()
+        self._lists = self._lists_of_panes = None
         for item in reversed(self._owned):
             item.release()
+        self._owned.clear()
+
+    def release(self) -> None:
+        self.release_cells()
+        for centres in (self.central, self.depths):
+            if centres is not None:
+                centres.release()
 
 
 class LayerTargets:

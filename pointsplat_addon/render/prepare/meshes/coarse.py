@@ -41,7 +41,7 @@ def coarse_mesh(view: View, measured: MeasuredMesh, view_from_object: np.ndarray
     flat, places, surface = store.lookup(Key(Kind.SURVEY, measured.geometry.key), lambda: _survey(mesh))
     if not flat and mesh.corner_normal is not None:
         return None
-    few = min(lattice_for(view.samples, view.interactive).spacing / MANY.spacing, 2.0)
+    few = min(lattice_for(view.samples, view.few).spacing / MANY.spacing, 2.0)
     allowed = few * EDGE * view.settings.tolerance * _pixel(view, places, view_from_object)
     diameter = 2 * measured.ball[1]
     if not 0 < allowed < diameter:
