@@ -15,7 +15,7 @@ from ..core.scene import camera as camera_module
 from ..core.scene import scene as scene_module
 from ..core.scene import settings as settings_module
 from ..core.splat.pixel_radii import with_pixel_radii
-from ..render.budget.following import Following
+from ..render.budget.following import Followers, Following
 from ..render.budget.known_light import KnownLight
 from ..render.budget.viewport import Arrivals, Moving, Pace, Refining, wait
 from ..render.device.protocol import DeviceError
@@ -46,7 +46,7 @@ class Viewport:
         self._frame: Frame | None = None
         self._view: tuple | None = None  # what the frame depends on besides the scene, settings first
         self._pacing: Moving | Refining | None = None  # keeps the frame within its budget
-        self._following: list[Following] = []  # pictures that take the place of the frame, of a view that stands still
+        self._followers = Followers()  # of the frame, where the view stands still
         self._known: KnownLight | None = None  # by which views are lit until then
         self._coarse = False
         self._pace = Pace()
@@ -102,9 +102,12 @@ class Viewport:
         more = not frame.complete
         if more:
             more = frame.sample() if self._pacing is None else self._pacing.sample(frame)
-            more = more or bool(self._following)  # which begin once this one is shown
-        else:
-            frame, more = self._followed(frame)
+        elif self._followers:  # which begin once this one is shown
+            frame, before = self._followers.go_on(frame), frame
+            if frame is not before:
+                self._frame = frame
+                self._keep_light(frame)
+        more = more or not frame.complete or bool(self._followers)
         streamed = frame.frame_plan.streamed
         if streamed is not None and self._begun != begun:
             self._arrivals.drawn(began, time.perf_counter() - began, self._hasty)
@@ -119,31 +122,14 @@ class Viewport:
         if streamed is not None and (streamed.waiting or self._hasty):
             page_arrivals.watch()
 
-    def _followed(self, frame: Frame) -> tuple[Frame, bool]:
-        """The frame that is shown once this one is complete, and whether there is more to do: that with more
-        sub-samples at once as soon as it has a sample, that with indirect light as soon as it has them all."""
-        if self._following and not (self._following[0].gathers or frame.frame_plan.followed):
-            del self._following[0]
-        if not self._following:
-            return frame, False
-        following = self._following[0]
-        frame.keep_shown()
-        following.go_on()
-        if following.done or (not following.gathers and following.frame is not None and following.frame.done > 0):
-            del self._following[0]
-            if following.frame is not None:
-                frame.release()
-                frame = self._frame = following.taken()
-                if following.gathers:
-                    self._keep_light(frame)
-        return frame, bool(self._following) or not frame.complete
-
     def _keep_light(self, frame: Frame) -> None:
         """Keeps the light of a picture that has gathered it, for views that move and for the next picture until its
         own light is there."""
-        self._forget_light()
         light = frame.indirect
-        if light is not None and light.tells and self._scene is not None and self._view is not None:
+        if light is None or (self._known is not None and light is self._known.light):
+            return  # it has none, or what is kept
+        self._forget_light()
+        if light.tells and self._scene is not None and self._view is not None:
             self._known = KnownLight(MAIN_GPU.renderer(), self._scene, self._view[0], light)
 
     def _forget_light(self) -> None:
@@ -215,14 +201,14 @@ class Viewport:
             if self._pacing is None:
                 request = replace(request, first=True)
                 following = replace(request, few=False, first=False)
-                self._following.append(Following(renderer, scene, following, known))
+                self._followers.add(Following(renderer, scene, following, known))
             else:
                 following = request
             if with_indirect:
                 lit = replace(following, settings=replace(request.settings, use_indirect=True))
                 again = Refining(lit) if isinstance(self._pacing, Refining) else None
                 sample = Frame.sample_tile if again is None else again.sample
-                self._following.append(Following(renderer, scene, lit, sample=sample))
+                self._followers.add(Following(renderer, scene, lit, sample=sample))
         self._frame = renderer.start(scene, request, known=known)
         return self._frame
 
@@ -246,9 +232,7 @@ class Viewport:
         """Release the frame, so that the next drawing starts another."""
         if self._frame is not None:
             self._frame.release()
-        for following in self._following:
-            following.release()
-        self._following.clear()
+        self._followers.release()
         self._frame = None
 
 

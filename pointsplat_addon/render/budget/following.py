@@ -97,3 +97,43 @@ class Following:
         if self.frame is not None:
             self.frame.release()
         self.frame = None
+
+
+class Followers:
+    """The pictures that take the place of a view's first one, in turn."""
+
+    def __init__(self) -> None:
+        self._waiting: list[Following] = []
+
+    def __bool__(self) -> bool:
+        """Whether another picture may follow."""
+        return bool(self._waiting)
+
+    def add(self, following: Following) -> None:
+        """Adds one that follows all before it."""
+        self._waiting.append(following)
+
+    def go_on(self, shown: Frame) -> Frame:
+        """Works for a moment on the one that follows `shown`, whose samples are all drawn. Returns what is shown from
+        now on: that with more sub-samples at once as soon as it has a sample, that with indirect light as soon as it
+        has them all; `shown` is released then. DeviceError, ShaderError: it cannot be drawn."""
+        if self._waiting and not (self._waiting[0].gathers or shown.frame_plan.followed):
+            del self._waiting[0]  # it would be the same picture
+        if not self._waiting:
+            return shown
+        following = self._waiting[0]
+        shown.keep_shown()
+        following.go_on()
+        started = following.frame is not None and following.frame.done > 0
+        if following.done or (started and not following.gathers):
+            del self._waiting[0]
+            if following.frame is not None:
+                shown.release()
+                return following.taken()
+        return shown
+
+    def release(self) -> None:
+        """Frees what is on the device; nothing follows any more."""
+        for following in self._waiting:
+            following.release()
+        self._waiting.clear()

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.render.budget import lighting
-from pointsplat_addon.render.budget.lighting import Lighting
+from pointsplat_addon.render.budget import following
+from pointsplat_addon.render.budget.following import Following
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.frame.frame import Frame
 from pointsplat_addon.render.frame.indirect import kept
@@ -26,7 +26,7 @@ def view_of(case: Case) -> Request:
 
 def brought_in(of: Renderer, case: Case) -> tuple[Frame | None, int]:
     """The frame with indirect light, and how often work went on for a moment."""
-    made, moments = Lighting(of, case.scene, view_of(case)), 0
+    made, moments = Following(of, case.scene, view_of(case)), 0
     while not made.done:
         made.go_on()
         moments += 1
@@ -46,8 +46,8 @@ def test_a_view_lit_in_moments_is_one_lit_at_once(make, gathered, monkeypatch):
     gathered.clear()
     monkeypatch.setattr(known_sites, "FIRST_SLICE", 16)
     monkeypatch.setattr(known_sites, "SLICE_SECONDS", 0.0)
-    monkeypatch.setattr(lighting, "LEAST_SECONDS", 0.0)
-    monkeypatch.setattr(lighting, "max", lambda *_: 0.0, raising=False)
+    monkeypatch.setattr(following, "LEAST_SECONDS", 0.0)
+    monkeypatch.setattr(following, "max", lambda *_: 0.0, raising=False)
     own = Renderer(drawing.opengl().device)
     frame, moments = brought_in(own, case)
     assert frame is not None
@@ -62,7 +62,7 @@ def test_a_view_lit_in_moments_is_one_lit_at_once(make, gathered, monkeypatch):
 def test_what_is_put_off_leaves_nothing_on_the_device(monkeypatch):
     monkeypatch.setattr(known_sites, "FIRST_SLICE", 16)
     own, case = Renderer(drawing.opengl().device), indirect_cases.in_a_corner()
-    made = Lighting(own, case.scene, view_of(case))
+    made = Following(own, case.scene, view_of(case))
     while own.store.building or not made.frame:
         own.release()
         before = own.device.bytes_allocated()
