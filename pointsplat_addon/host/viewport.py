@@ -171,7 +171,6 @@ class Viewport:
             settings.viewport_samples,
             interactive=True,
             moving=self._coarse,
-            few=True,
         )
         self._pacing = None
         if self._coarse and settings.budget == "TIME":
@@ -200,7 +199,7 @@ class Viewport:
         if not (self._coarse or self._hasty):
             if self._pacing is None:
                 request = replace(request, first=True)
-                following = replace(request, few=False, first=False)
+                following = replace(request, first=False, following=True)
                 self._followers.add(Following(renderer, scene, following, known))
             else:
                 following = request

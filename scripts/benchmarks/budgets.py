@@ -105,7 +105,7 @@ def kept(
     renderer.pacers = type(renderer.pacers)()
     times, samples, tolerances, held = [], [], [], []
     for step in range(FIRST + COUNTED):
-        request = Request(camera(step), settings, frozenset({"combined"}), MOST, interactive=True, few=True)
+        request = Request(camera(step), settings, frozenset({"combined"}), MOST, interactive=True)
         before = clock()
         keeper = Moving(renderer, case.scene, request, clock)
         frame = renderer.start(case.scene, keeper.request)

@@ -1,4 +1,4 @@
-"""Pictures that follow the first one of a view that stands still: with more sub-samples at once, with indirect light."""
+"""Pictures that follow the first one of a view that stands still: with more sub-samples, with indirect light."""
 
 from __future__ import annotations
 

@@ -274,7 +274,7 @@ def make_frame_plan(
     plan = make_plan(
         ViewToPlan(
             scene, prepared, request, shadows, mattes, matte_shadows, captured_shadows, ewa, painter, reflects,
-            picture, sub_samples, presented, absences,
+            picture, sub_samples, presented, followed or (request.few and not request.first), absences,
         )
     )  # fmt: skip
     some = _has_opaque(prepared) or prepared.out_of_focus is not None

@@ -53,6 +53,7 @@ class ViewToPlan:
     picture: bool  # Combined is wanted; else nothing is lit and nothing translucent is drawn
     sub_samples: int  # of each pixel in each sample, by the visibility buffer; 0: by another technique
     presented: bool  # the picture is shown between samples
+    hasty: bool  # the first sample is soon replaced
     absences: Absences  # why what the view has not is not there
 
     @property
@@ -434,7 +435,7 @@ def _lights_and_shadows(view: ViewToPlan, shadows: Shadows | None) -> tuple[str,
 
 def _coarse_translucent(view: ViewToPlan, translucent: TranslucentOptions | None) -> bool:
     """Whether the first sample's translucent layer has fewer pixels."""
-    if translucent is None or view.defocus or not view.request.interactive:
+    if translucent is None or view.defocus or not view.hasty:
         return False
     return not (translucent.tint or translucent.holdout or translucent.fuzzy or translucent.captured)
 

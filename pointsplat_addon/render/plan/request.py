@@ -24,10 +24,10 @@ class Request:
     crypto_levels: int = 6
     interactive: bool = False  # drawn repeatedly and at once: see render/prepare/prepare.py
     moving: bool = False  # and its view changes: it is drawn finely once nothing moves
-    few: bool = False  # sub-samples are drawn at once, see lattice_for: it is shown or ended between lattices
-    # Another picture of the view follows, without this and `few`: where that draws more sub-samples at once, this one
-    # has a single sample, or a single lattice of few.
+    # Of a view that stands still: another picture follows, which is `following`. Where that draws more sub-samples at
+    # once, this one has a single sample, or a single lattice of few.
     first: bool = False
+    following: bool = False
     coarse: bool = False  # one sample at the tolerance that was asked for exceeds the budget of time
     # Bound of the nodes of what is out of focus, over the radii of their circles of confusion: core/lens/kernel.py.
     node: float = NODE_SIZE
@@ -39,6 +39,11 @@ class Request:
     known_light: bool = False
     pages_of: Camera | None = None  # pages of scans are those of its picture, where this is a coarse one of the same
     term: Term | None = None  # Combined is this term of the light alone; None: all of it
+
+    @property
+    def few(self) -> bool:
+        """Whether few sub-samples are drawn at once, so that the first are soon there; see lattice_for."""
+        return self.interactive and not self.following
 
 
 @value_record

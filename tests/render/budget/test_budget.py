@@ -114,7 +114,7 @@ def test_a_view_that_moves_keeps_its_time():
     device = NullDevice()
     renderer, clock = Renderer(device, STORE), Ticking(device)
     scene, request = asked("mixed", 16, budget="TIME", time_budget=100.0)
-    request, times = replace(request, interactive=True, few=True), []
+    request, times = replace(request, interactive=True), []
     for step in range(6):
         moved = replace(request, camera=cameras.camera(eye=(0.1 * step, -4, 0)))
         keeper, before = Moving(renderer, scene, moved, clock), len(device.calls)
@@ -127,7 +127,7 @@ def test_a_view_that_moves_keeps_its_time():
 
 def test_a_viewport_that_stands_still_ends_below_its_error():
     scene, request = asked("mixed", budget="ERROR", error_budget=0.02)
-    keeper = Refining(replace(request, interactive=True, few=True))
+    keeper = Refining(replace(request, interactive=True))
     drawn = drawing.opengl().start(scene, keeper.request)
     while keeper.sample(drawn):
         pass

@@ -136,9 +136,7 @@ def test_a_share_of_what_one_sample_takes_is_kept_by_meshes_in_parts(share, spee
         nearer[2, 3] += speed * step
         camera = replace(case.camera, view_from_world=nearer)
         before = clock()
-        keeper = Moving(
-            renderer, case.scene, Request(camera, settings, COMBINED, 16, interactive=True, few=True), clock
-        )
+        keeper = Moving(renderer, case.scene, Request(camera, settings, COMBINED, 16, interactive=True), clock)
         frame = renderer.start(case.scene, keeper.request)
         keeper.sample(frame)
         frame.release()

@@ -19,7 +19,7 @@ TURNS = 0.2, 0.7, 1.5  # radians about the middle of the room
 
 
 def view_of(case: Case, camera: Camera, moving: bool = False) -> Request:
-    return replace(case.request(frozenset({"combined"}), 16), camera=camera, interactive=True, moving=moving, few=True)
+    return replace(case.request(frozenset({"combined"}), 16), camera=camera, interactive=True, moving=moving)
 
 
 def drawn(of: Renderer, case: Case, request: Request, known: IndirectLight | None = None):
