@@ -46,7 +46,7 @@ class Meter:
             width = drawn._scene and viewport()[2].width
             self.pictures.append((seconds, busy, width / frame.frame_plan.request.camera.window[2]))
         self._before = frame
-        self.complete = frame.complete and not drawn._coarse and drawn._lighting is None
+        self.complete = frame.complete and not drawn._coarse and not drawn._followers
         if self.wanted:
             self.mean, self.wanted = frame.mean(), False
 
