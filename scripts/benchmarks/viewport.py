@@ -1,10 +1,12 @@
 """Pictures a second of a viewport whose view orbits, on moderngl's device: what a user sees who turns a scan or a mesh.
 
     python -m scripts.benchmarks.viewport [--only NAME ...] [--size WxH] [--frames N] [--passes] [--picture FOLDER]
+        [--still]
 
 Hills of balls and of triangles under a sun with shadows, one lattice of few sub-samples, as host/viewport.py asks for
 while the view moves. A frame is planned, drawn and finished on the device, and not read back. Without --passes nothing
-waits between passes.
+waits between passes. --still: instead, what a view takes that stands still, until its first picture and its last one,
+and with lattices of few sub-samples alone.
 """
 
 from __future__ import annotations
@@ -27,11 +29,13 @@ from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.scene.scene import Geometry, Instances, Scene
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
+from pointsplat_addon.render.frame.frame import Frame
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.benchmarks.beside_cycles.landscape import WIDE, ground, landscape
 from scripts.benchmarks.frame import MeteredDevice, Stopwatch
 
+SAMPLES = 16  # of a view that stands still
 TURN = 0.03  # radians of the orbit from frame to frame
 EYE, TARGET = np.array([34.0, -62.0, 34.0]), np.array([0.0, 2.0, -2.0])  # metres
 FOCAL = 1 / np.tan(np.radians(25.0))  # distance of the picture over half its width
@@ -142,6 +146,31 @@ class Orbit:
         return time.perf_counter() - start
 
 
+def still(renderer: Renderer, device: MeteredDevice, shown: Scene, size: tuple[int, int]) -> str:
+    """What a view takes of the processor that stands still, once it has been drawn."""
+    request = Request(orbiting(0.0, size), Settings(), frozenset({"combined"}), SAMPLES, interactive=True)
+
+    def drawn(request: Request) -> tuple[Frame, float]:
+        began = time.process_time()
+        frame = renderer.start(shown, request)
+        while frame.sample():
+            pass
+        device.finish()
+        return frame, time.process_time() - began
+
+    found = []
+    for _ in range(2):  # the first time shaders are compiled
+        first, of_first = drawn(replace(request, first=True))
+        first.keep_shown()
+        last, of_last = drawn(replace(request, following=True))
+        first.release()
+        last.release()
+        few, of_few = drawn(request)
+        few.release()
+        found = [of_first, of_first + of_last, of_few]
+    return "first picture {:.2f} s, last {:.2f} s; by lattices of few {:.2f} s of the processor\n".format(*found)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", nargs="*", choices=list(SCENES), default=list(SCENES))
@@ -149,12 +178,16 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=10)
     parser.add_argument("--passes", action="store_true", help="finish the device after each pass, and time it")
     parser.add_argument("--picture", type=Path, help="folder for the first frame of each scene, NumPy files")
+    parser.add_argument("--still", action="store_true", help="measure views that stand still")
     options = parser.parse_args()
     width, height = map(int, options.size.split("x"))
     device = Processor()
     device.timed = options.passes
     renderer = Renderer(device)
     for name in options.only:
+        if options.still:
+            sys.stdout.write(f"{name}: {still(renderer, device, scene(SCENES[name]()), (width, height))}")
+            continue
         orbit = Orbit(renderer, device, scene(SCENES[name]()), (width, height))
         first = orbit.frame()
         waited = orbit.refine() if name == "balls-10M" else 0.0
