@@ -135,6 +135,12 @@ class Frame:
         if frame_plan.through_lens:
             self.lens = self._own(LensSamples(device, frame_plan.view, request.samples))
         motion = plan.data and "vector" in data.data(request.passes)
+        count = levels(frame_plan.prepared.largest, frame_plan.view.resolution)
+        primitives = frame_plan.splats + frame_plan.triangles + frame_plan.segments
+        primitives += IN_INSTANCE * len(frame_plan.scene.instances)
+        most_cells = cells_of_tile(primitives, plan.presented)
+        wanted = plan, request.passes, frame_plan.view.window[2:], count, most_cells
+        self.renderer.pool.make_room(*wanted)
         self.uploads: Uploads = self._own(
             Uploads(
                 self.renderer.store,
@@ -155,11 +161,7 @@ class Frame:
         self.uploads.draw_maps(run)
         if plan.backdrop:
             self.backdrop = self._own(Backdrop(device, backdrop_grid(frame_plan.view, device.limits.texture_size)))
-        count = levels(frame_plan.prepared.largest, frame_plan.view.resolution)
-        primitives = frame_plan.splats + frame_plan.triangles + frame_plan.segments
-        primitives += IN_INSTANCE * len(frame_plan.scene.instances)
-        most_cells = cells_of_tile(primitives, plan.presented)
-        self._lent = self.renderer.pool.borrow(plan, request.passes, frame_plan.view.window[2:], count, most_cells)
+        self._lent = self.renderer.pool.borrow(*wanted)
         self.targets = self._lent[1]
         if self.targets.sums:
             device.clear(self.targets.sum_target)

@@ -103,11 +103,26 @@ class Pool:
         self.device = device
         self._idle: tuple[tuple, Targets] | None = None
 
+    def make_room(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int, most_cells: int) -> None:
+        """Releases idle targets that do not match: what is uploaded before others are borrowed may need their place."""
+        if self._idle is not None and self._idle[0] != self._key(plan, passes, size, count, most_cells):
+            self.release()
+
     def borrow(
         self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int, most_cells: int
     ) -> tuple[tuple, Targets]:
         """Returns the key to give targets back with, and the targets for a plan; idle ones if they match."""
-        key = (size, count, most_cells,
+        self.make_room(plan, passes, size, count, most_cells)
+        if self._idle is not None:
+            idle, self._idle = self._idle, None
+            return idle
+        made = Targets(self.device, plan, passes, size, count, most_cells)
+        return self._key(plan, passes, size, count, most_cells), made
+
+    @staticmethod
+    def _key(plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int, most_cells: int) -> tuple:
+        """What decides the targets of a plan."""
+        return (size, count, most_cells,
                plan.sub_samples, plan.filter_size, plan.central, plan.background, plan.points, plan.ewa, plan.polygons,
                plan.spheres, plan.lines, plan.variant, plan.options,
                plan.painter and plan.data_variant, plan.defocus, plan.panes, plan.picture, plan.eye_dome,
@@ -116,12 +131,6 @@ class Pool:
                (plan.translucent.opaque, plan.translucent.holdout, plan.translucent.centred, plan.coarse,
                 plan.translucent.mattes),
                (plan.data_variant, data.data(passes)) if plan.data else None)  # fmt: skip
-        idle, self._idle = self._idle, None
-        if idle is not None and idle[0] == key:
-            return idle
-        if idle is not None:
-            idle[1].release()
-        return key, Targets(self.device, plan, passes, size, count, most_cells)
 
     def give_back(self, key: tuple, targets: Targets) -> None:
         """Keeps targets for the next frame, and releases those that were kept before."""
