@@ -10,9 +10,12 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 # What these tests check does not depend on Blender, and hardly on the version of Python.
-SHARED = tuple(ROOT / "tests" / room for room in ("core", "reference", "render", "extreme"))
-# Pictures beside Cycles' and on both devices: each file has so many that both Pythons, and so both Blenders, draw some.
-SHARED_FILES = ROOT / "tests" / "blender" / "test_*_cycles.py", ROOT / "tests" / "blender" / "test_*devices*.py"
+SHARED = tuple(ROOT / "tests" / room for room in ("core", "formats", "stream", "reference", "render", "extreme"))
+# Pictures beside Cycles' and on both devices, and renders by a command: each file has so many that both Pythons, and so
+# both Blenders, draw some.
+SHARED_FILES = tuple(
+    ROOT / "tests" / "blender" / f"test_{files}.py" for files in ("*_cycles", "*devices*", "render_script")
+)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
