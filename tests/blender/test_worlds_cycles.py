@@ -390,7 +390,7 @@ def test_lights_whose_nodes_do_not_vary_are_exact() -> None:
 
 @pytest.mark.parametrize(
     ("width", "lens", "worst"),
-    [(256, 50, 0.002), (300, 50, 0.002), (4096, 100, 0.006)],  # measured 0.0011, 0.0013, 0.0032
+    [(256, 50, 0.002), (300, 50, 0.002), (4096, 100, 0.006)],  # measured 0.0011, 0.0013, 0.0034
 )
 def test_pictures_of_the_world_are_as_sharp_as_in_cycles(tmp_path, width, lens, worst):
     """Blocks of two, or eight, texels of random brightness."""
@@ -411,7 +411,7 @@ def test_pictures_of_the_world_are_as_sharp_as_in_cycles(tmp_path, width, lens, 
     scene.camera.rotation_euler = math.radians(95), 0, 0.7
     scene.camera.data.lens = lens
     scene.render.resolution_x, scene.render.resolution_y = 320, 180
-    scene.cycles.samples, scene.cycles.use_adaptive_sampling, scene.cycles.use_denoising = 256, False, False
+    scene.cycles.samples, scene.cycles.use_adaptive_sampling, scene.cycles.use_denoising = 64, False, False
     found = []
     for engine in ("CYCLES", "POINTSPLAT"):
         scene.render.engine = engine
