@@ -344,6 +344,16 @@ def test_groups(arguments):
     return options, sorted(groups, key=cost_of, reverse=True)
 
 
+def in_turns(groups, pythons):
+    """(group, which Python) of each process, so that the Pythons begin each two groups the other way about: both draw
+    much with the same shaders, which the first one compiles and Mesa keeps; side by side both would compile them."""
+    tasks = []
+    for first in range(0, len(groups), 2):
+        for turn in range(pythons):
+            tasks += [(group, (turn + i) % pythons) for i, group in enumerate(groups[first : first + 2])]
+    return tasks
+
+
 class Process:
     """One pytest process over a group of paths, whose output is kept until it ends."""
 
@@ -438,7 +448,7 @@ def test(args, rest):
     if not args.long and len(pythons) > 1:
         shares = [["--share", "%d/%d" % (i, len(pythons))] for i in range(len(pythons))]
         say("tests that hardly depend on Blender and Python run with one Python each: --long runs all with each")
-    tasks = [(python, options + share, paths) for paths in groups for python, share in zip(pythons, shares)]  # noqa: B905
+    tasks = [(pythons[i], options + shares[i], paths) for paths, i in in_turns(groups, len(pythons))]
     found = run_all(tasks, args.jobs or min(2, os.cpu_count() or 1), args.limit or (LONG_LIMIT if args.long else LIMIT))
     # A file whose tests are all deselected is no failure, as long as some other ran.
     failed = ["%s (exit code %d)" % (name, code) for name, code in found if code not in (PASSED, NO_TESTS)]

@@ -107,6 +107,18 @@ def test_the_groups_of_the_whole_suite_hold_every_test_file_once(
     assert dev.test_groups([])[1][0] == [os.path.join("tests", "render", "passes")]  # which takes longest
 
 
+@pytest.mark.parametrize("pythons", [1, 2])
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_each_group_runs_with_each_python_but_not_at_once(dev: ModuleType, count: int, pythons: int) -> None:
+    groups = [[f"room {i}"] for i in range(count)]
+    tasks = dev.in_turns(groups, pythons)
+    assert sorted(tasks) == [(group, i) for group in groups for i in range(pythons)]
+    begun = [group for group, _ in tasks]
+    assert [group for i, group in enumerate(begun) if group not in begun[:i]] == groups  # the longest still come first
+    if pythons == 2:  # those that begin at once are of two groups, but the last where their number is odd
+        assert all(one != other for one, other in zip(begun[: count // 2 * 4 : 2], begun[1::2], strict=False))
+
+
 def test_processes_run_side_by_side_and_one_that_hangs_is_killed(
     dev: ModuleType, capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
