@@ -13,6 +13,7 @@ Environments live in .venv/, pinned by requirements/. Exit codes: 0 done, 1 fail
 """
 
 import argparse
+import concurrent.futures
 import ctypes
 import glob
 import hashlib
@@ -29,17 +30,31 @@ ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 BLENDER_FOR_PYTHON = {"3.11": "4.5 LTS", "3.13": "5.2 LTS"}
 PASSED, NO_TESTS = 0, 5  # pytest's exit codes
 LIMIT, LONG_LIMIT = 1800, 4 * 3600  # seconds that a process of tests may take
+BESIDE_CYCLES = 6  # processes for the files of tests beside Cycles
 # Seconds that groups of tests take on one core, where they are many: which to begin first.
 SECONDS = {
     "tests/render/passes": 300,
     "tests/extreme": 260,
-    "tests/render/budget": 220,
-    "tests/render/prepare": 190,
-    "tests/core": 150,
-    "tests/render/frame": 150,
-    "tests/blender/test_lens_cycles.py": 50,
-    "tests/render/plan": 30,
-    "tests/render/shadow": 15,
+    "tests/core": 200,
+    "tests/render/visibility": 170,
+    "tests/render/budget": 150,
+    "tests/render/frame": 110,
+    "tests/render/prepare": 80,
+    "tests/render/indirect": 70,
+    "tests/blender/test_render_script.py": 50,
+    "tests/blender/test_soak_blender.py": 50,
+    "tests/blender/test_technique_devices.py": 45,
+    "tests/blender/test_worlds_cycles.py": 40,
+    "tests/blender/test_motion_blur.py": 40,
+    "tests/render/plan": 40,
+    "tests/blender/test_lights.py": 35,
+    "tests/blender/test_lens_cycles.py": 30,
+    "tests/blender/test_devices_agree.py": 30,
+    "tests/blender/test_shadow_catchers_cycles.py": 30,
+    "tests/render/shadow": 30,
+    "tests/blender/test_silhouettes_cycles.py": 20,
+    "tests/blender/test_light_passes_cycles.py": 20,
+    "tests/blender/test_reflection_cycles.py": 20,
 }
 
 # What bpy links to, and what it and moderngl open at run time, with the Debian package of each.
@@ -178,8 +193,8 @@ def install(python, requirements):
         file.write(wanted)
 
 
-def environment(version):
-    """The interpreter of .venv/pyXYZ, made and filled where needed."""
+def bare_environment(version):
+    """The interpreter of .venv/pyXYZ, made where needed."""
     python = venv_python(version)
     found = probe(python)
     if not found or found[0] != version:
@@ -193,8 +208,16 @@ def environment(version):
         say("making %s with %s" % (os.path.relpath(folder, ROOT), base))
         if run([base, "-m", "venv", "--clear", folder]) != 0:
             raise ImpossibleError("%s could not make a virtual environment" % base)
-    install(python, "py" + version.replace(".", "") + ".txt")
     return python
+
+
+def environments(versions):
+    """The interpreters of .venv/pyXYZ, made and filled where needed, side by side: each waits for its downloads."""
+    pythons = [bare_environment(version) for version in versions]
+    requirements = ["py" + version.replace(".", "") + ".txt" for version in versions]
+    with concurrent.futures.ThreadPoolExecutor() as threads:
+        list(threads.map(install, pythons, requirements))
+    return pythons
 
 
 def unopenable():
@@ -226,7 +249,7 @@ def check_system(python):
 
 def ready(wish):
     """Interpreters of ready environments, checked against the system."""
-    pythons = [environment(version) for version in chosen_versions(wish)]
+    pythons = environments(chosen_versions(wish))
     check_system(pythons[0])
     return pythons
 
@@ -255,7 +278,7 @@ def build(args, rest):
 
 
 def lint(args, rest):
-    python = environment(chosen_versions(args.python)[0])
+    python = environments(chosen_versions(args.python)[:1])[0]
     install(python, "lint.txt")
     commands = [
         [python, "-m", "ruff", "check"],
@@ -277,11 +300,20 @@ def cost_of(paths):
     return sum(SECONDS.get(path.replace(os.sep, "/"), 10) for path in paths)
 
 
+def dealt(files):
+    """Groups of files, each dealt to the group that takes the least time so far, the longest first."""
+    groups = [[] for _ in range(min(BESIDE_CYCLES, len(files)))]
+    for file in sorted(files, key=lambda file: (-cost_of([file]), file)):
+        min(groups, key=cost_of).append(file)
+    return groups
+
+
 def test_groups(arguments):
     """Split pytest's arguments into options and groups of paths, each group for one process; the longest come first.
 
     The rooms of tests/render have one each, so that none needs the memory of two; the extreme cases always have their
-    own, of which they measure the memory. So has every file that loads bpy: Blender's state cannot be reset.
+    own, of which they measure the memory. So has every file that loads bpy, whose state cannot be reset, but those
+    beside Cycles: each of their tests begins with an empty file, and some files that share a process load bpy once.
     """
     is_path = [os.path.exists(os.path.join(ROOT, a.split("::")[0])) and not a.startswith("-") for a in arguments]
     options = [a for a, path in zip(arguments, is_path) if not path]  # noqa: B905 (Python 3.8 has no strict)
@@ -302,13 +334,24 @@ def test_groups(arguments):
             if part.startswith(os.path.join("tests", "blender")):
                 is_folder = os.path.isdir(os.path.join(ROOT, part))
                 files = glob.glob(os.path.join(part, "**", "test_*.py"), recursive=True) if is_folder else [part]
-                groups += [[file] for file in sorted(files)]
+                beside = [f for f in files if f.endswith("_cycles.py")]
+                groups += [[file] for file in sorted(set(files) - set(beside))] + dealt(beside)
             elif part.startswith((os.path.join("tests", "extreme"), os.path.join("tests", "render"))):
                 groups.append([part])
             else:
                 plain.append(part)
     groups += [plain] if plain else []
     return options, sorted(groups, key=cost_of, reverse=True)
+
+
+def in_turns(groups, pythons):
+    """(group, which Python) of each process, so that the Pythons begin each two groups the other way about: both draw
+    much with the same shaders, which the first one compiles and Mesa keeps; side by side both would compile them."""
+    tasks = []
+    for first in range(0, len(groups), 2):
+        for turn in range(pythons):
+            tasks += [(group, (turn + i) % pythons) for i, group in enumerate(groups[first : first + 2])]
+    return tasks
 
 
 class Process:
@@ -346,15 +389,27 @@ class Process:
         self.output.close()
 
 
+def test_environment(jobs):
+    """Variables for a process of tests, beside which others run; what is set stays."""
+    environment = dict(os.environ)
+    # llvmpipe draws with all cores; processes side by side would fight for them.
+    environment.setdefault("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // jobs)))
+    # Each process finds the modules that one before has compiled, also where Python is told to leave no files.
+    environment.setdefault("PYTHONPYCACHEPREFIX", os.path.join(ROOT, ".venv", "bytecode"))
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
+    # glibc keeps large arrays that were let go, for the next: else the system clears all of their pages each time.
+    environment.setdefault("MALLOC_MMAP_MAX_", "0")
+    environment.setdefault("MALLOC_TRIM_THRESHOLD_", str(1 << 32))
+    return environment
+
+
 def run_all(tasks, jobs, limit):
     """Run (python, options, paths) in so many processes at a time; (name, exit code) of each, as they end.
 
     One that a signal ends runs once more: Mesa 22.3's llvmpipe crashes in one of some hundred processes, each time at
     another draw. What crashes twice has failed.
     """
-    # llvmpipe draws with all cores; processes side by side would fight for them.
-    threads = max(1, (os.cpu_count() or 1) // jobs)
-    environment = dict(os.environ, LP_NUM_THREADS=os.environ.get("LP_NUM_THREADS", str(threads)))
+    environment = test_environment(jobs)
     waiting, running, found, crashed = list(tasks), [], [], set()
     begun = 0
     try:
@@ -393,7 +448,7 @@ def test(args, rest):
     if not args.long and len(pythons) > 1:
         shares = [["--share", "%d/%d" % (i, len(pythons))] for i in range(len(pythons))]
         say("tests that hardly depend on Blender and Python run with one Python each: --long runs all with each")
-    tasks = [(python, options + share, paths) for paths in groups for python, share in zip(pythons, shares)]  # noqa: B905
+    tasks = [(pythons[i], options + shares[i], paths) for paths, i in in_turns(groups, len(pythons))]
     found = run_all(tasks, args.jobs or min(2, os.cpu_count() or 1), args.limit or (LONG_LIMIT if args.long else LIMIT))
     # A file whose tests are all deselected is no failure, as long as some other ran.
     failed = ["%s (exit code %d)" % (name, code) for name, code in found if code not in (PASSED, NO_TESTS)]

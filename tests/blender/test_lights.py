@@ -162,6 +162,7 @@ CASES = {
 }
 
 
+@pytest.mark.either
 @pytest.mark.parametrize("case", CASES)
 def test_lambert_plane_under_a_light_equals_cycles(scene, tmp_path, case):
     kind, settings, height, rotation, scale = CASES[case]
@@ -277,6 +278,7 @@ ILLUMINATION = {
 }
 
 
+@pytest.mark.either
 @pytest.mark.parametrize("metallic", [0.0, 1.0])
 @pytest.mark.parametrize("name", ILLUMINATION)
 def test_principled_sphere_reflects_as_much_as_in_cycles(scene, tmp_path, name, metallic):

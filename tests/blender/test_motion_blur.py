@@ -107,6 +107,7 @@ def test_a_moving_square_is_the_trapezoid_of_its_way(empty_file, tmp_path):
     assert scene.frame_subframe == 0
 
 
+@pytest.mark.either
 @pytest.mark.parametrize("what", ["object", "camera", "lens", "deformed"])
 def test_what_moves_is_as_blurred_as_in_cycles(empty_file, tmp_path, what):
     scene = bpy.context.scene
@@ -187,6 +188,7 @@ def test_passes_without_averages_are_of_the_frame(monkeypatch):
     assert len(result.report["warnings"]) == 4
 
 
+@pytest.mark.either
 @pytest.mark.parametrize("technique", ["IMAGE_SPACE", "EWA", "PAINTER"])
 def test_other_techniques_blur_too(empty_file, tmp_path, technique):
     scene = bpy.context.scene

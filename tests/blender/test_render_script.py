@@ -83,6 +83,7 @@ WRONG = {
 }
 
 
+@pytest.mark.either
 @pytest.mark.parametrize("case", WRONG)
 def test_what_is_wrong_is_said_and_no_picture_is_written(case: str, files: Path, tmp_path: Path) -> None:
     (name, *rest), code, words = WRONG[case]
@@ -107,6 +108,7 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 """
 
 
+@pytest.mark.either
 @pytest.mark.parametrize("error", ["ValueError('broken')", "final.RenderError('broken')"])
 def test_a_render_that_raises_exits_with_an_error_and_leaves_no_file(error: str, files: Path, tmp_path: Path) -> None:
     code = RAISES.format(root=str(ROOT), error=error)

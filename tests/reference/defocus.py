@@ -18,6 +18,7 @@ PIXEL = 0.11
 SMOOTHER = 2.0
 # Sums of kernels over a surface are uneven by some percent still (`evened_coverage`).
 EVEN = 0.05
+BLOCK = 1 << 15  # pixels times splats that are composited at once: so many stay in a processor's cache
 # Of what backs cover where fronts of the same surface are: sums are uneven, and closed bodies end with fronts alone.
 BACK_SHARE = 0.8
 
@@ -89,6 +90,12 @@ def composite(pixels: np.ndarray, splats: Splats) -> np.ndarray:
     Backs show where they cover more than fronts of the same surface do: closed bodies end with both at the same edge.
     Translucent splats take their share of what is open (Beer's law).
     """
+    at_once = max(1, BLOCK // max(len(splats.depth), 1))
+    starts = range(0, len(pixels), at_once)
+    return np.concatenate([_composited(pixels[start : start + at_once], splats) for start in starts])
+
+
+def _composited(pixels: np.ndarray, splats: Splats) -> np.ndarray:
     middle = splats.weight * kernel(np.zeros(len(splats.weight)), splats.exponent, np.linalg.det(splats.covariance))
     amount = splats.weight * drawn_kernel(pixels, splats)
     amount = np.where(amount > NEGLIGIBLE * np.minimum(middle, 1), amount, 0.0)

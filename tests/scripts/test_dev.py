@@ -1,4 +1,4 @@
-"""scripts/dev.py chooses a Python that bpy exists for, and gives every test file that loads bpy its own process."""
+"""scripts/dev.py chooses a Python that bpy exists for, and says which test files share a process."""
 
 import importlib.util
 import os
@@ -68,12 +68,33 @@ def test_without_a_fitting_python_the_message_names_both_and_the_exit_code_is_tw
     assert "3.13" in said
 
 
-def test_each_file_that_loads_bpy_has_a_process_of_its_own(dev: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_that_load_bpy_have_a_process_of_their_own_but_those_beside_cycles(
+    dev: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(ROOT)
     options, groups = dev.test_groups(["-k", "word", "--tb=short"])
     assert options == ["-k", "word", "--tb=short"]
-    files = sorted(str(p.relative_to(ROOT)) for p in (ROOT / "tests" / "blender").rglob("test_*.py"))
-    assert sorted(g for g in groups if "blender" in g[0]) == [[file] for file in files]
+    files = {str(p.relative_to(ROOT)) for p in (ROOT / "tests" / "blender").rglob("test_*.py")}
+    beside = {file for file in files if file.endswith("_cycles.py")}
+    alone = [group for group in groups if "blender" in group[0] and not beside.intersection(group)]
+    assert sorted(alone) == [[file] for file in sorted(files - beside)]
+    together = [group for group in groups if beside.intersection(group)]
+    assert len(together) == dev.BESIDE_CYCLES
+    assert sorted(file for group in together for file in group) == sorted(beside)
+    costs = [dev.cost_of(group) for group in together]
+    assert max(costs) <= min(costs) + max(dev.cost_of([file]) for file in beside)
+
+
+def test_processes_of_tests_find_modules_compiled(dev: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where Python is told to leave no files; what a person has set stays."""
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    monkeypatch.delenv("PYTHONPYCACHEPREFIX", raising=False)
+    assert "PYTHONDONTWRITEBYTECODE" not in dev.test_environment(1)
+    assert Path(dev.test_environment(1)["PYTHONPYCACHEPREFIX"]).is_relative_to(ROOT / ".venv")
+    monkeypatch.setenv("PYTHONPYCACHEPREFIX", "elsewhere")
+    monkeypatch.setenv("LP_NUM_THREADS", "7")
+    environment = dev.test_environment(1)
+    assert (environment["PYTHONPYCACHEPREFIX"], environment["LP_NUM_THREADS"]) == ("elsewhere", "7")
 
 
 def test_the_groups_of_the_whole_suite_hold_every_test_file_once(
@@ -84,6 +105,18 @@ def test_the_groups_of_the_whole_suite_hold_every_test_file_once(
     found = [file for path in paths for file in ([path] if path.is_file() else path.rglob("test_*.py"))]
     assert sorted(found) == sorted((ROOT / "tests").rglob("test_*.py"))
     assert dev.test_groups([])[1][0] == [os.path.join("tests", "render", "passes")]  # which takes longest
+
+
+@pytest.mark.parametrize("pythons", [1, 2])
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_each_group_runs_with_each_python_but_not_at_once(dev: ModuleType, count: int, pythons: int) -> None:
+    groups = [[f"room {i}"] for i in range(count)]
+    tasks = dev.in_turns(groups, pythons)
+    assert sorted(tasks) == [(group, i) for group in groups for i in range(pythons)]
+    begun = [group for group, _ in tasks]
+    assert [group for i, group in enumerate(begun) if group not in begun[:i]] == groups  # the longest still come first
+    if pythons == 2:  # those that begin at once are of two groups, but the last where their number is odd
+        assert all(one != other for one, other in zip(begun[: count // 2 * 4 : 2], begun[1::2], strict=False))
 
 
 def test_processes_run_side_by_side_and_one_that_hangs_is_killed(

@@ -63,8 +63,11 @@ def test_shares_of_a_balls_voxels_are_those_of_many_points():
     offset = np.stack(np.meshgrid(part, part, part, indexing="ij"), axis=-1).reshape(-1, 3)
     step = np.diag(filling.object_from_index)[:3]
     centre = filling.index * step + filling.object_from_index[:3, 3]
-    inside = (np.linalg.norm(centre[:, None] + offset * step, axis=2) < 1).mean(axis=1)
-    error = filling.share - inside
+    inside = []
+    for some in np.array_split(centre, 200):  # so many points at once as a processor's cache holds
+        square = sum((some[:, None, axis] + offset[:, axis] * step[axis]) ** 2 for axis in range(3))
+        inside.append((square < 1).mean(axis=1))
+    error = filling.share - np.concatenate(inside)
     assert np.sqrt((error**2).mean()) < 0.02  # measured 0.0137
     assert np.abs(error).max() < 0.12  # measured 0.093
 

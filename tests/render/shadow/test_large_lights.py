@@ -32,13 +32,18 @@ def irradiance(light: Light, at: np.ndarray) -> np.ndarray:
     inside = (np.hypot(u, v) <= 1) | (not light.ellipse)
     points = (light.position + u * light.axis_u + v * light.axis_v)[inside[:, 0]]
     area = 4 * np.linalg.norm(light.axis_u) * np.linalg.norm(light.axis_v) / len(u)
-    toward = points - at[:, None]
-    received = np.maximum(toward[..., 2], 0) * np.maximum(-toward @ light.direction, 0)
-    with np.errstate(divide="ignore"):
-        ends = (MIDDLE + HALF * np.array([[-1.0], [1.0]]) - at[:, None, None]) / toward[:, :, None]
-    enters, leaves = ends.min(axis=2).max(axis=2), ends.max(axis=2).min(axis=2)
-    hidden = (enters < leaves) & (leaves > 1e-9) & (enters < 1)
-    return area * np.where(hidden, 0, received / (toward**2).sum(axis=2) ** 2).sum(axis=1)
+    found = []
+    for some in np.array_split(at, -(-len(at) // 16)):  # so many places as a processor's cache holds
+        x, y, z = points.T[:, None] - some.T[..., None]  # (places, points of the light) each
+        received = np.maximum(z, 0) * np.maximum(-np.tensordot(light.direction, (x, y, z), 1), 0)
+        enters, leaves = np.full(z.shape, -np.inf), np.full(z.shape, np.inf)
+        for toward, middle, start in zip((x, y, z), MIDDLE, some.T[..., None], strict=True):
+            with np.errstate(divide="ignore"):
+                near, far = (middle - HALF - start) / toward, (middle + HALF - start) / toward
+            enters, leaves = np.maximum(enters, np.minimum(near, far)), np.minimum(leaves, np.maximum(near, far))
+        hidden = (enters < leaves) & (leaves > 1e-9) & (enters < 1)
+        found.append(area * np.where(hidden, 0, received / (x**2 + y**2 + z**2) ** 2).sum(axis=1))
+    return np.concatenate(found)
 
 
 @pytest.mark.parametrize(
