@@ -29,7 +29,7 @@
 #endif
 
 #define PS_TURNS 4
-#define PS_LEVEL_BITS 31
+#define PS_LEVEL_BITS 31  // of the radius of a node: how many times the cube is halved to its cell
 #define PS_STACK 24  // more than the tree has levels
 #define PS_MOST_NODES 20000  // that a walk opens: software rasterisers end all loops together after 65,535 turns
 #define PS_FINENESS (0.375 * float(PS_CELLS))  // parts of a near leaf along its side, for each step of t
