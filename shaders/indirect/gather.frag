@@ -29,6 +29,7 @@
 #endif
 
 #define PS_TURNS 4
+#define PS_LEVEL_BITS 31  // of the radius of a node: how many times the cube is halved to its cell
 #define PS_STACK 24  // more than the tree has levels
 #define PS_MOST_NODES 20000  // that a walk opens: software rasterisers end all loops together after 65,535 turns
 #define PS_FINENESS (0.375 * float(PS_CELLS))  // parts of a near leaf along its side, for each step of t
@@ -147,8 +148,9 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   float entered = seen.front * part, left = seen.back * part;
   bool tiles = !look.scattered;
   float solid = tiles ? 1.0 : 0.0, shown = solid * (1.0 - covered) * cell;
+  // Nodes that hold both sheets of a wall show as much of either: their fronts come first.
   ps_fronts += entered * shown;
-  ps_backs += left * shown;
+  ps_backs += max(left - entered, 0.0) * shown;
   bool is_late = tiles && inside < 0.0 && seen.nearness * PS_BESIDE > latest;
   float late = is_late ? min(min(entered, -inside), covered) : 0.0;
   float kept = 1.0 - late / max(covered, 1e-30);
@@ -239,6 +241,13 @@ float ps_sameness(PsNode node, float along)
 #endif
   float scattered = (node.bits & PS_IS_ROUND) != 0 ? PS_HAIRS : PS_LEAVES;
   return (node.bits & PS_IS_SCATTERED) != 0 ? scattered : surface;
+}
+
+// Where the octants of a node meet. Surfels may all lie on one side of it, and so may their mean.
+vec3 ps_cell_middle(PsNode node)
+{
+  float edge = u.cube.w * exp2(-float(floatBitsToInt(node.radius) & PS_LEVEL_BITS));
+  return u.cube.xyz + (floor((node.position - u.cube.xyz) / edge) + 0.5) * edge;
 }
 
 // Octants `there`, a bit each, in the order of their distance from the octant `own`: bit k stands for the one that differs from it
@@ -396,7 +405,8 @@ void main()
           }
           first = node.first;
           there = node.bits & 255;
-          own = (offset.x < 0.0 ? 1 : 0) | (offset.y < 0.0 ? 2 : 0) | (offset.z < 0.0 ? 4 : 0);
+          vec3 middle = ps_cell_middle(node) - place.xyz;
+          own = (middle.x < 0.0 ? 1 : 0) | (middle.y < 0.0 ? 2 : 0) | (middle.z < 0.0 ? 4 : 0);
           left = ps_in_order(there, own);
         }
         else {

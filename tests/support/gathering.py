@@ -33,7 +33,7 @@ def gathered(
     lights = device.texture((rows.shape[1], rows.shape[0]), "RGBA32F", rows.reshape(-1))
     normal = np.broadcast_to(normal, position.shape)
     receivers = receiver_texture(device, position, normal, normal, np.ones(len(position)))
-    record = GATHER_BLOCK.record(root=len(tree) - 1, coarseness=coarseness, sky=1.0)
+    record = GATHER_BLOCK.record(root=len(tree) - 1, coarseness=coarseness, sky=1.0, cube=tuple(tree.cube.tolist()))
     world, textures = (("PS_HAS_WORLD",), {"ps_lights": lights}) if sky else ((), {})
     found = Gather(
         device, receivers, gather_program(world, glossy=False, shining=shining), record, {"ps_nodes": nodes, **textures}

@@ -21,6 +21,7 @@ EVEN = 12.0  # over the variance: the squared width of an even patch
 KNUD_THOMSEN = 1.6075  # exponent
 SQUARINGS = 3  # of the matrix whose largest eigenvector is looked for
 ROUGH = 0.95  # of the area of rough nodes only stands for fine triangles: nodes at corners of walls hold some
+LEAST_SHOWN = 1e-3  # cosine: where a side has nothing else, what is seen of it from aslant counts
 # Columns of sums over surfels, weighted by area.
 AREA, POSITION, NORMAL, SCATTERED, PRODUCTS = 0, slice(1, 4), slice(4, 7), 7, slice(8, 14)
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # of coordinates, of PRODUCTS
@@ -52,11 +53,14 @@ class LightTree:
     # (M,) bool: nearly all of the area only stands for fine triangles near it; None: of no node
     rough: np.ndarray | None
     first: np.ndarray  # (M,) int32: first child; -1: a leaf
+    level: np.ndarray  # (M,) int32: how many times the cube is halved to the cell whose octants its children are in
+    cube: np.ndarray  # (4,) float32: low corner and side of the cube that holds the surfels' places
     octants: np.ndarray  # (M,) uint8: which of the eight children there are, bit by bit
     edge: np.ndarray  # (M, 3) float32: of leaves that are rectangles or triangles, as Surfels.edge; else (0, 0, 0)
     half: np.ndarray  # (M,) bool: of leaves, as Surfels.half
     leaf: np.ndarray  # (N,) int32: the node of each surfel
     turned: np.ndarray  # (M,) bool: whether its axis points away from the side that its parent's points to
+    shown: np.ndarray  # (M,) float32: cosine between its axis and its parent's; by it its sides count in those
     # Levels of inner nodes, deepest first: the nodes (n,), how many children each has (n,), and all of these.
     levels: tuple[tuple[np.ndarray, np.ndarray, slice], ...]
 
@@ -77,11 +81,18 @@ class LightTree:
         for side, (light, weight) in enumerate(((outside, area), (of_behind, behind), (inside, area))):
             for row, values in enumerate((*(light.T * weight), weight)):
                 total[4 * side + row] = np.bincount(self.leaf, values, len(self))
+        area = total[3] + total[7]  # of both sides
         for nodes, count, children in self.levels:
             of_children = total[:, children].copy()
             turned = self.turned[children]
             of_children[:8, turned] = np.roll(of_children[:8, turned], 4, axis=0)
-            total[:, nodes] = np.add.reduceat(of_children, starts(count), axis=1)
+            of_children[:8] *= self.shown[children]
+            first = starts(count)
+            found = np.add.reduceat(of_children, first, axis=1)
+            # Its sides count in its parent's by all of their area, or what is turned to all sides would hardly.
+            area[nodes] = whole = np.add.reduceat(area[children], first)
+            found[:8] *= whole / np.maximum(found[3] + found[7], np.float32(1e-37))
+            total[:, nodes] = found
         sums = total.reshape(3, 4, len(self))
         # A side that nothing is turned to looks like the other.
         nothing = sums[:, 3] == 0
@@ -92,7 +103,8 @@ class LightTree:
 
 def build_tree(surfels: Surfels) -> LightTree:
     """Builds the tree over N > 0 surfels."""
-    code, _ = morton_codes(surfels.position)
+    code, side = morton_codes(surfels.position)
+    cube = np.append(surfels.position.min(axis=0), side).astype(np.float32)
     order, code = sorted_by_code(code)
     # Surfels in one finest cell share a leaf.
     new = np.append(True, code[1:] != code[:-1])
@@ -100,9 +112,10 @@ def build_tree(surfels: Surfels) -> LightTree:
     sums = [np.add.reduceat(_columns(surfels, order), begin, axis=1)]
     radii = [_leaf_radius(surfels, order, sums[0], begin)]
     masks = [np.zeros(len(begin), np.uint8)]
+    halved = [np.full(len(begin), DEPTH)]
     levels: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     code, own_sums, own_radii, number, made = code[begin], sums[0], radii[0], np.arange(len(begin)), len(begin)
-    for _ in range(DEPTH):
+    for level in range(DEPTH - 1, -1, -1):
         if len(number) == 1:
             break
         octant, code = (code & np.uint64(7)).astype(np.uint8), code >> np.uint64(3)
@@ -113,6 +126,7 @@ def build_tree(surfels: Surfels) -> LightTree:
         if several.any():
             parents = made + np.arange(np.count_nonzero(several))
             made += len(parents)
+            halved.append(np.full(len(parents), level))
             children = np.repeat(several, count)
             levels.append((parents, count[several], number[children]))
             masks.append(np.bitwise_or.reduceat(np.uint8(1) << octant, first)[several])
@@ -123,7 +137,8 @@ def build_tree(surfels: Surfels) -> LightTree:
             number[several], own_sums[:, several], own_radii[several] = parents, merged, reach
     leaf = np.empty(len(order), np.int64)
     leaf[order] = np.cumsum(new) - 1
-    return _placed(surfels, np.concatenate(sums, axis=1), np.concatenate(radii), np.concatenate(masks), levels, leaf)
+    sums, radii, masks, halved = (np.concatenate(one, axis=-1) for one in (sums, radii, masks, halved))
+    return _placed(surfels, sums, radii, masks, halved, cube, levels, leaf)
 
 
 def _columns(surfels: Surfels, order: np.ndarray) -> np.ndarray:
@@ -167,6 +182,8 @@ def _placed(
     sums: np.ndarray,
     radii: np.ndarray,
     masks: np.ndarray,
+    halved: np.ndarray,
+    cube: np.ndarray,
     levels: list[tuple[np.ndarray, np.ndarray, np.ndarray]],
     leaf: np.ndarray,
 ) -> LightTree:
@@ -200,9 +217,13 @@ def _placed(
         of = means[PRODUCTS].take(hairs, axis=1)
         axis[:, hairs], along[hairs] = _axes(np.concatenate([of[:3].sum(axis=0) - 2 * of[:3], -2 * of[3:]]))
     axis *= np.where(dot(axis, means[NORMAL]) < 0, -1, 1)
-    turned = np.zeros(size, bool)
+    turned, shown = np.zeros(size, bool), np.ones(size, f)
     for nodes, count, children in placed:
-        turned[children] = dot(axis[:, children], np.repeat(axis[:, nodes], count, axis=1)) < 0
+        cosine = dot(axis[:, children], np.repeat(axis[:, nodes], count, axis=1))
+        turned[children] = cosine < 0
+        shown[children] = np.maximum(np.abs(cosine), LEAST_SHOWN)
+    if round_ones is not None:
+        shown[round_ones] = 0.5  # what is turned to all sides, on average
     radii, position = radii[number], means[POSITION]
     of_flat = np.zeros(size, bool)
     of_flat[leaf] = flat
@@ -247,11 +268,14 @@ def _placed(
         shining=shining,
         rough=rough,
         first=first,
+        level=halved[number].astype(np.int32),
+        cube=cube,
         octants=masks[number],
         edge=edge,
         half=half,
         leaf=leaf.astype(np.int32),
         turned=turned,
+        shown=shown,
         levels=tuple(placed),
     )
 

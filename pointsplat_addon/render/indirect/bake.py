@@ -211,7 +211,8 @@ class Baker:
         if (grid := self._media) is not None:
             none = np.zeros((len(grid.receivers), 3), np.float32)
             media = baked_media(grid, leaving.media, none if in_media is None else in_media)
-        return BakedLight(self._surfels.origin, nodes, media)
+        cube = np.zeros(4, np.float32) if self._tree is None else self._tree.cube
+        return BakedLight(self._surfels.origin, nodes, cube, media)
 
     def _direct(self) -> Leaving:
         """What is sent on of the light of lamps."""

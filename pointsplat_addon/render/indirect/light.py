@@ -35,6 +35,7 @@ class BakedLight:
 
     origin: np.ndarray  # (3,) float64, world: of the tree's space, which has the world's axes
     nodes: np.ndarray  # (M, 16) float32, as of node_rows, the root last
+    cube: np.ndarray  # (4,) float32, as of LightTree
     media: BakedMedia | None = None
     # (K, 10) float32: what falls on the scene at some positions: these, normals, irradiance over pi, and the binary
     # logarithm of how far they are apart. None: it is not known.
@@ -68,7 +69,7 @@ class IndirectLight:
         self._within = within
         self.origin = baked.origin
         self._baked: BakedLight | None = baked  # until something is gathered
-        self._root, self.media = len(baked.nodes) - 1, baked.media
+        self._root, self.media, self._cube = len(baked.nodes) - 1, baked.media, tuple(baked.cube.tolist())
         bits = np.bitwise_or.reduce(baked.nodes[:, 6].astype(np.int64), initial=0)
         self._captured = bool(bits & int(CAPTURED))
         self._shining = bool(bits & int(SHINING)) and within is None
@@ -175,7 +176,7 @@ class IndirectLight:
         for to, of in zip(laid, receivers, strict=True):
             to[rows] = of
         texture = receiver_texture(device, *laid)
-        values: dict[str, object] = {"root": self._root, "coarseness": COARSENESS, "sky": sky}
+        values: dict[str, object] = {"root": self._root, "coarseness": COARSENESS, "sky": sky, "cube": self._cube}
         values |= {} if self._within is None else {"within": self._within}
         if (media := self.media) is not None:
             values |= {"media_corner": (*media.low, media.edge), "media_cells": (*media.shape, 0)}

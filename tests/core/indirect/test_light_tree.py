@@ -106,3 +106,40 @@ def test_radiance_keeps_what_leaves_in_all(seed):
         assert (side <= value.max() + 1e-6).all()
     mean = (surfels.area[:, None] * value).sum(axis=0) / surfels.area.sum()
     np.testing.assert_allclose(inside[-1], mean, rtol=1e-5)
+
+
+@pytest.mark.parametrize("count", [2, 9, 300])
+def test_levels_and_the_cube_tell_where_octants_meet(count):
+    """Whatever lies in an octant of a node lies on that side of the middle of its cell."""
+    surfels = random_surfels(count)
+    tree = build_tree(surfels)
+    held = descendants(tree)[:, tree.leaf]
+    low, side = tree.cube[:3].astype(float), float(tree.cube[3])
+    for node in np.flatnonzero(tree.first >= 0).tolist():
+        edge = side / 2 ** int(tree.level[node])
+        middle = low + (np.floor((tree.position[node] - low) / edge) + 0.5) * edge
+        octants = [octant for octant in range(8) if tree.octants[node] >> octant & 1]
+        for child, octant in enumerate(octants, tree.first[node]):
+            above = surfels.position[held[child]] >= middle
+            assert (above == [octant & 1, octant >> 1 & 1, octant >> 2]).all()
+
+
+def test_an_edge_of_a_slab_does_not_shine_on_its_sides():
+    """A slab of two sheets and the strip between them, which alone is bright: seen from before its sheets are dark.
+    Found: 1.2e-4 of it; 0.11, its share of the area, as long as it counted."""
+    at = (np.arange(8.0) + 0.5) / 8
+    y, z = (a.ravel() for a in np.meshgrid(at, at))
+    thick = 0.125
+    sheets = [np.stack([0 * y + x, y, z], axis=1) for x in (0, thick)]
+    strip = np.stack([0 * at + 0.5 * thick, 0 * at + 1, at], axis=1)
+    position = np.concatenate([*sheets, strip]).astype(np.float32)
+    normal = np.repeat(np.array([[-1, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32), [64, 64, 8], axis=0)
+    count = len(position)
+    zero, no = np.zeros((count, 3), np.float32), np.zeros(count, bool)
+    area = np.full(count, 1 / 64, np.float32)
+    surfels = Surfels(np.zeros(3), position, normal, area, ~no, no, zero, zero, zero, no)
+    tree = build_tree(surfels)
+    bright = np.repeat([0.0, 0.0, 1.0], [64, 64, 8])[:, None] * np.ones(3)
+    before, behind, _ = tree.radiance(surfels, bright, zero)[:, -1]
+    assert abs(tree.axis[-1, 0]) > 1 - 1e-6
+    assert max(before.max(), behind.max()) < 1e-3

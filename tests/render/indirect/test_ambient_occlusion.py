@@ -41,7 +41,7 @@ def wall(half: float, cells: int, away: float, axis: int) -> Surfels:
 def open_share(surfels: Surfels, position: np.ndarray, within: float) -> np.ndarray:
     """(N,): how much of a white world is open above places (N, 3)."""
     tree, none = build_tree(surfels), np.ones((len(surfels), 3))  # what shines does not count
-    baked = BakedLight(np.zeros(3), node_rows(tree, tree.radiance(surfels, none, none)))
+    baked = BakedLight(np.zeros(3), node_rows(tree, tree.radiance(surfels, none, none)), tree.cube)
     light = IndirectLight(drawing.opengl().device, baked, World(np.ones(3)), ("PS_HAS_WORLD",), within=within)
     found = light.gathered(position, np.broadcast_to(UP, position.shape), {})[:, 0].astype(float)
     light.release()

@@ -21,7 +21,7 @@ def seen(surfels: Surfels, radiance: float, place: tuple[float, float, float], s
     """(64, 24): moments at a place, once for each of TURNED; all sides of surfels send `radiance`."""
     tree = build_tree(surfels)
     sides = np.full((len(surfels), 3), radiance)
-    baked = BakedLight(np.zeros(3), node_rows(tree, tree.radiance(surfels, sides, sides)))
+    baked = BakedLight(np.zeros(3), node_rows(tree, tree.radiance(surfels, sides, sides)), tree.cube)
     names = ("PS_HAS_WORLD",) if sky else ()
     light = IndirectLight(drawing.opengl().device, baked, World(np.full(3, sky)), names)
     found = light.moments(np.array([place]), {})

@@ -63,13 +63,13 @@ def no_surfels() -> Surfels:
 
 def light_of(grid: MediaGrid, sky: float = 1.0, surfels: Surfels | None = None, radiance: float = 0.0) -> IndirectLight:
     """Light that media emit alone, and surfels."""
-    nodes = np.zeros((0, 16), np.float32)
+    nodes, cube = np.zeros((0, 16), np.float32), np.zeros(4, np.float32)
     if surfels is not None:
         tree, sides = build_tree(surfels), np.full((len(surfels), 3), radiance)
-        nodes = node_rows(tree, tree.radiance(surfels, sides, sides))
+        nodes, cube = node_rows(tree, tree.radiance(surfels, sides, sides)), tree.cube
     media = baked_media(grid, grid.emission, np.zeros((len(grid.receivers), 3)))
     world = World(np.full(3, sky))
-    return IndirectLight(drawing.opengl().device, BakedLight(np.zeros(3), nodes, media), world, SKY)
+    return IndirectLight(drawing.opengl().device, BakedLight(np.zeros(3), nodes, cube, media), world, SKY)
 
 
 def baked(grid: MediaGrid, bounces: int) -> BakedLight:

@@ -39,8 +39,8 @@ def turned(camera: Camera, angle: float) -> Camera:
 
 
 def test_a_view_that_moves_in_a_room_is_lit_as_one_that_stands_still(gathered, monkeypatch):
-    """Beside pictures by another renderer, which gathers for them alone. Worst: the mean is off by 0.0117, RMSE is
-    0.0739 of the mean, where walls are new; at first 0.0036 and 0.0108. Without indirect light the sky makes the room
+    """Beside pictures by another renderer, which gathers for them alone. Worst: the mean is off by 0.0139, RMSE is
+    0.0784 of the mean, where walls are new; at first 0.0040 and 0.0131. Without indirect light the sky makes the room
     4.88 times as bright at least."""
     # Each tree lights most of a room's surfaces by few receivers of 3,000, and by other ones.
     monkeypatch.setattr(bake, "MOST_BOUNCE_RECEIVERS", 20000)

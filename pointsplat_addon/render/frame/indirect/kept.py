@@ -80,7 +80,7 @@ def kept_light(
             raise Cancelled
         baker: Baker | None = store.lookup(of_baker, make_baker)
         if baker is None:
-            return BakedLight(origin, np.zeros((0, 16), np.float32))
+            return BakedLight(origin, np.zeros((0, 16), np.float32), np.zeros(4, np.float32))
         textures = light.textures
         if scene.lights and bounces > 0:
             shift = np.eye(4)

@@ -14,7 +14,12 @@ CELLS = 8
 BOUNCE_CELLS = 6  # where what is gathered lights other surfaces
 RAYS, BOUNCE_RAYS = 3, 2  # through media, along each side of a cell
 COARSENESS = 1.0  # cells that a node may cover
-GATHER_FIELDS: Fields = (("int", "root"), ("float", "coarseness"), ("float", "sky"))
+GATHER_FIELDS: Fields = (
+    ("int", "root"),
+    ("float", "coarseness"),
+    ("float", "sky"),
+    ("vec4", "cube"),  # low corner and side of the tree's, in its space
+)
 GATHER_BLOCK = block("Gather", GATHER_FIELDS)
 MEDIA_FIELDS: Fields = (
     ("vec4", "media_corner"),  # of the grid, in the tree's space, and the edge of a cell

@@ -18,6 +18,7 @@ MANTISSA = 4096  # steps of radiance below the largest of its channels' power of
 ROUND = 2.0**21  # the bit of nodes whose surfels are all balls
 CAPTURED = 2.0**22  # and of nodes that hold mostly captured splats
 SHINING = 2.0**23  # and of those that mostly emit light
+LEVEL_BITS = 31  # of the radius, which hold how many times the tree's cube is halved to a node's cell
 LEAST_LENGTH = 1e-12  # of `facing`, where it has a sign
 EXPONENTS = 1024  # half the range of exponents
 
@@ -25,7 +26,7 @@ EXPONENTS = 1024  # half the range of exponents
 def node_rows(tree: LightTree, radiance: np.ndarray) -> np.ndarray:
     """Returns the texels of nodes, (M, 16) float32; radiance: (3, M, 3), as of LightTree.radiance.
 
-    texel 0  place and radius of the node
+    texel 0  place and radius of the node, whose last five bits are its level
           1  area, less than 0 where it only stands for fine triangles near it; its first child, or for a leaf -1 less
              the code of its edge, 0: it has none; its octants, 8 bits,
              whether it is scattered, 1 bit, how far normals lie along the axis and how thick it is along that over
@@ -49,7 +50,8 @@ def with_radiance(shapes: np.ndarray, radiance: np.ndarray) -> np.ndarray:
 def node_shapes(tree: LightTree) -> np.ndarray:
     """Returns what the texels of nodes hold beside radiance, as node_rows."""
     found = np.zeros((len(tree), 16), np.float32)
-    found[:, :3], found[:, 3], found[:, 4] = tree.position, tree.radius, tree.area
+    found[:, :3], found[:, 4] = tree.position, tree.area
+    found[:, 3] = ((tree.radius.view(np.int32) + LEVEL_BITS & ~LEVEL_BITS) | tree.level).view(np.float32)
     if tree.rough is not None:
         found[:, 4] *= np.where(tree.rough, -1, 1)
     found[:, 5] = np.where(tree.first < 0, -1, tree.first)
