@@ -17,8 +17,8 @@ from ..core.scene import settings as settings_module
 from ..core.splat.pixel_radii import with_pixel_radii
 from ..render.budget.following import Followers, Following
 from ..render.budget.known_light import KnownLight
-from ..render.budget.viewport import Arrivals, Moving, Pace, Refining, wait
-from ..render.device.protocol import DeviceError
+from ..render.budget.viewport import Arrivals, Moving, Pace, Refining
+from ..render.device.protocol import DeviceError, wait
 from ..render.frame.frame import Frame
 from ..render.plan.request import Request
 from ..shading.sources import ShaderError
@@ -120,7 +120,7 @@ class Viewport:
         if more or self._coarse:
             engine.tag_redraw()
         if streamed is not None and (streamed.waiting or self._hasty):
-            page_arrivals.watch()
+            page_arrivals.watch(self)
 
     def _keep_light(self, frame: Frame) -> None:
         """Keeps the light of a picture that has gathered it, for views that move and for the next picture until its
@@ -152,7 +152,7 @@ class Viewport:
             self._changed_at, self._view = now, view
         elif self._coarse and now - self._changed_at > STILL_SECONDS:
             self._coarse = False
-        elif self._is_behind(now):
+        elif self.is_behind():
             pass  # once more at the same fineness, with the pages that have come since
         else:
             return self._frame
@@ -217,15 +217,15 @@ class Viewport:
             return False
         return not self._arrivals.begun or POOL.is_busy(VIEWPORT)
 
-    def _is_behind(self, now: float) -> bool:
-        """Whether pages have come that the frame lacks, or were to come when it was begun."""
+    def is_behind(self) -> bool:
+        """Whether another frame is drawn with pages that this one lacks, or that were to come when it was begun."""
         streamed = None if self._frame is None else self._frame.frame_plan.streamed
         if streamed is None or not (self._hasty or streamed.waiting):
             return False
         if not POOL.is_busy(VIEWPORT):
             return self._hasty or streamed.arrivals != POOL.arrivals
         arrived = POOL.arrivals - streamed.arrivals
-        return self._arrivals.are_enough(now, streamed.drawn, arrived, POOL.missing(VIEWPORT))
+        return self._arrivals.are_enough(time.perf_counter(), streamed.drawn, arrived, POOL.missing(VIEWPORT))
 
     def _drop(self) -> None:
         """Release the frame, so that the next drawing starts another."""

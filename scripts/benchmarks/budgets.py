@@ -31,7 +31,8 @@ from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.volume import Medium, Volume
 from pointsplat_addon.formats.volumes import dense
 from pointsplat_addon.render.budget.pacing import COARSEST
-from pointsplat_addon.render.budget.viewport import Moving, wait
+from pointsplat_addon.render.budget.viewport import Moving
+from pointsplat_addon.render.device.protocol import wait
 from pointsplat_addon.render.frame import frame
 from pointsplat_addon.render.plan.frame_plan import FramePlan
 from pointsplat_addon.render.plan.request import Request

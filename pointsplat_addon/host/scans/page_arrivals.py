@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import weakref
+from typing import Protocol
+
 import bpy
 
 from ...stream.pool import POOL, VIEWPORT
@@ -9,30 +12,40 @@ from ...stream.pool import POOL, VIEWPORT
 INTERVAL = 0.1  # seconds between two looks
 
 
-_seen = 0  # arrivals when viewports were told last
+class Waiting(Protocol):
+    """What shows pages, a viewport."""
+
+    def is_behind(self) -> bool:
+        """Whether it would be drawn with pages that have come since it was."""
+        ...
 
 
-def watch() -> None:
+_waiting: weakref.WeakSet[Waiting] = weakref.WeakSet()
+
+
+def watch(viewport: Waiting) -> None:
     """Looks for pages until the viewports' are all there. Called by a viewport that waits for some."""
-    global _seen
+    _waiting.add(viewport)
     if not bpy.app.timers.is_registered(_look):
-        _seen = POOL.arrivals
         bpy.app.timers.register(_look, first_interval=INTERVAL)
 
 
 def stop() -> None:
     """Looks no more."""
+    _waiting.clear()
     if bpy.app.timers.is_registered(_look):
         bpy.app.timers.unregister(_look)
 
 
 def _look() -> float | None:
-    global _seen
     busy = POOL.is_busy(VIEWPORT)
-    if POOL.arrivals != _seen or not busy:
-        _seen = POOL.arrivals
+    # Drawing a window takes time that readers could have.
+    if not busy or any(viewport.is_behind() for viewport in _waiting):
         for window in bpy.context.window_manager.windows:
             for area in window.screen.areas:
                 if area.type == "VIEW_3D":
                     area.tag_redraw()
-    return INTERVAL if busy else None
+    if busy:
+        return INTERVAL
+    _waiting.clear()
+    return None

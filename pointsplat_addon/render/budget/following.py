@@ -8,12 +8,12 @@ from collections.abc import Callable
 
 from ...core.scene.scene import Scene
 from ..device.clock import Cancelled
+from ..device.protocol import wait
 from ..frame.frame import Frame
 from ..indirect.known_sites import Slices
 from ..indirect.light import IndirectLight
 from ..plan.request import Request
 from .protocol import SampleRenderer, Seconds
-from .viewport import wait
 
 LEAST_SECONDS = 0.05  # of work between two redraws
 

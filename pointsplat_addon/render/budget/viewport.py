@@ -5,10 +5,8 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-import numpy as np
-
 from ...core.scene.scene import Scene
-from ..device.protocol import Device
+from ..device.protocol import wait
 from ..frame.frame import Frame
 from ..plan.request import Request
 from .budgeted import _chosen, _threshold
@@ -91,7 +89,8 @@ class Arrivals:
         more = arrived > MORE_PAGES * pages or (arrived > 0 and since > LONGEST_PAUSE)
         if not (more and since > 2 * self._took + LEAST_PAUSE):
             return False
-        return missing * since > self._took * arrived
+        took = self._took * (pages + arrived) / max(pages, 1)  # of the next picture, at most
+        return missing * since > took * arrived
 
 
 class Moving:
@@ -142,10 +141,3 @@ class Refining:
         if self._watch.enough(frame):
             frame.end()
         return not frame.complete
-
-
-def wait(device: Device) -> None:
-    """Waits until the device has finished its work: reading a texture does so on every device."""
-    texel = device.texture((1, 1), "R32F", np.zeros(1, np.float32))
-    device.read(texel)
-    texel.release()

@@ -190,6 +190,13 @@ def releases_on_failure(init: Callable[Concatenate[S, Device, P], None]) -> Call
     return made
 
 
+def wait(device: Device) -> None:
+    """Waits until the device has finished its work: reading a texture does so on every device."""
+    texel = device.texture((1, 1), "R32F", np.zeros(1, np.float32))
+    device.read(texel)
+    texel.release()
+
+
 def check_texture(size: tuple[int, int], format: str, data: Texels | None, limits: Limits) -> None:
     """Checks a texture. DeviceError: no device can make it, or the data have another size."""
     width, height = size

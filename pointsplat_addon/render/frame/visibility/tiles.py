@@ -9,7 +9,7 @@ from ....core.numeric.record import value_record
 from ...passes.uniforms import SampleView
 
 # Of a tile, with 16 bytes each and about as much for its groups: 17 sub-samples of 290 x 290 pixels, of 410 x 410 in a
-# picture that is shown while it is drawn; and of 1280 x 720. Shown, where a lattice of few comes first, its tiles of many
+# picture that is shown while it is drawn; and of 1280 x 720. Shown, where a lattice of few comes first, tiles of many
 # have about as many cells as its own.
 FEWEST_CELLS, MOST_CELLS = 1 << 21, 28_000_000
 FEWEST_SHOWN_CELLS, MOST_SHOWN_CELLS = 1 << 22, 6_000_000
