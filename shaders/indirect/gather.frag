@@ -29,6 +29,7 @@
 #endif
 
 #define PS_TURNS 4
+#define PS_CORNERS 1.87  // how far a corner of half a square is from its middle, over the radius of a disk as large
 #define PS_LEVEL_BITS 31  // of the radius of a node: how many times the cube is halved to its cell
 #define PS_STACK 24  // more than the tree has levels
 #define PS_MOST_NODES 20000  // that a walk opens: software rasterisers end all loops together after 65,535 turns
@@ -384,7 +385,8 @@ void main()
         // How far it reaches above its middle, and how high its surface rises: as far as that is tilted.
         float axis_up = dot(ps_unpack_normal(node.axis), n), upright = along * axis_up;
         float reach = ps_thickness(node) * abs(axis_up) + sqrt(max(1.0 - axis_up * axis_up, 0.0));
-        bool above = height + min(reach, 1.0) * node.radius > PS_LOW * d;
+        bool corners = node.first != -1 && (node.bits & (PS_IS_SCATTERED | PS_IS_ROUND)) == 0;
+        bool above = height + min(reach, 1.0) * (corners ? PS_CORNERS : 1.0) * node.radius > PS_LOW * d;
         float cell = ps_cell_solid_angle(local);
         bool coarse = d < 1.5 * node.radius || largest > u.coarseness * cell * ps_sameness(node, along);
         above = above && (d < 1.5 * node.radius || !ps_behind(local, node.radius / d, cell));
@@ -410,7 +412,8 @@ void main()
           left = ps_in_order(there, own);
         }
         else {
-          count = above && height + tilt > PS_ABOVE * node.radius ? 1 : 0;
+          float rise = node.first < -1 ? PS_CORNERS * tilt : tilt;
+          count = above && height + rise > PS_ABOVE * node.radius ? 1 : 0;
         }
         if (left == 0 && size > 0) {
           size--;
