@@ -467,7 +467,10 @@ def benchmark(args, rest):
 
 
 def env(args, rest):
-    for python in ready(args.python):
+    pythons = ready(args.python)
+    if args.lint:
+        install(pythons[0], "lint.txt")
+    for python in pythons:
         say("ready: " + os.path.relpath(python, ROOT))
     return 0
 
@@ -479,6 +482,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("verb", choices=sorted(VERBS), help="what to do; further arguments are handed on")
     parser.add_argument("--python", choices=sorted(BLENDER_FOR_PYTHON) + ["all"], help="default: the first there is")
+    parser.add_argument("--lint", action="store_true", help="env: also what lint needs")
     parser.add_argument("--long", action="store_true", help="test: also the tests that take minutes")
     parser.add_argument("--jobs", type=int, help="test: processes at a time (default: 2, or 1 on one core)")
     parser.add_argument("--limit", type=int, help="test: seconds until a test process is killed")
