@@ -69,6 +69,15 @@ float ps_open(PsSeen seen)
   return max(left.x, max(left.y, left.z)) * (1.0 - min(max(seen.front, seen.back), 1.0));
 }
 
+#ifdef PS_SLOPES
+// The depth of a splat's plane at a pixel, v from the splat's middle: passes/defocus/tile_lists.py, `Planes`.
+float ps_plane_depth(float depth, vec4 slope, vec2 v)
+{
+  float away = dot(slope.xy, v + slope.zw) / max(depth, 1e-30);
+  return depth * (ps_is_perspective() ? 1.0 / clamp(1.0 - away, 0.25, 4.0) : 1.0 + away);
+}
+#endif
+
 // The mean of what the samples of a pixel show in focus.
 struct PsFocused
 {
@@ -99,13 +108,17 @@ void main()
     int index = int(texelFetch(ps_list, ivec2(entry & 4095, entry >> 12), 0).x);
     ivec2 at = ivec2(index & 4095, index >> 12);
     vec4 centre = texelFetch(ps_splat_centre, at, 0), shape = texelFetch(ps_shape, at, 0);
-    if (pending && centre.z > focused.depth) {
+    vec2 v = gl_FragCoord.xy - centre.xy - u.principal_point;
+    int kind = int(shape.w * 0.125);
+    float lies = centre.z;
+#ifdef PS_SLOPES
+    lies = (kind & 2) != 0 ? ps_plane_depth(lies, texelFetch(ps_slope, at, 0), v) : lies;
+#endif
+    if (pending && lies > focused.depth) {
       ps_cover(seen, focused.color, focused.covered, false, focused.depth, thick);
       pending = false;
     }
-    vec2 v = gl_FragCoord.xy - centre.xy - u.principal_point;
     float q = shape.x * v.x * v.x + 2.0 * shape.y * v.x * v.y + shape.z * v.y * v.y;
-    int kind = int(shape.w * 0.125);
     float k = shape.w - 8.0 * float(kind);
     float share = q / (2.0 * (k + 2.0));
     // A pixel is as wide as the rim.

@@ -5,7 +5,7 @@
 // PS_KERNELS: some have a kernel of their own. PS_HOLDOUT: instances may cut holes instead.
 // PS_FUZZY: some are opaque (core/splat/painter.py), whose kernels are narrower by this factor. PS_CULL: some of these are not
 // drawn where they show their backs, PS_FUZZY_DISCONNECTED: some stand apart. PS_DEFOCUS: for the pass of what is out of focus,
-// render/passes/defocus/gather.py, PS_STRANDS: with pieces of strands. PS_MEDIA: some fill a volume. PS_AMONG_OPAQUE: something
+// render/passes/defocus/gather.py, PS_SLOPES: planes of surfaces are told, PS_STRANDS: with pieces of strands. PS_MEDIA: some fill a volume. PS_AMONG_OPAQUE: something
 // opaque may stand among them. PS_CENTRES: they are looked at in pixels' centres alone. PS_INDIRECT: what surfaces receive from each
 // other is known; PS_PLACES: instead of light, where they are, as in indirect/group_points.frag, with the negative depth of backs.
 
@@ -49,6 +49,13 @@ vec2 ps_slope(vec3 p)
   vec2 size = vec2(u.size);
   vec2 reach = PS_VIEW * max(abs(u.principal_point), abs(size - u.principal_point)) / abs(u.focal);
   return ps_is_perspective() ? clamp(p.xy / -p.z, -reach, reach) : vec2(0.0);
+}
+
+// Of a value on the position in the picture: covariance of that (xx, xy, yy), and with the value (x, y).
+vec2 ps_regression(vec3 square, vec2 together)
+{
+  return vec2(square.z * together.x - square.y * together.y, square.x * together.y - square.y * together.x) /
+         (square.x * square.z - square.y * square.y);
 }
 
 vec3 ps_cofactor(mat3 m, vec3 n)
@@ -220,7 +227,8 @@ void main()
   // Outside of the picture?
   vec2 centre = u.focal * p.xy * (ps_is_perspective() ? 1.0 / d : 1.0);
 #ifdef PS_DEFOCUS
-  centre += d * u.inverse_focus_distance < 1.0 ? -lean : lean;
+  vec2 beside = d * u.inverse_focus_distance < 1.0 ? -lean : lean;
+  centre += beside;
 #endif
   vec2 margin = PS_RIM_SIGMA * sqrt(wide.xz) + 2.0;
   vec2 pixel = centre + u.principal_point;
@@ -331,9 +339,7 @@ void main()
 #endif
   deep = -0.5 * vec3(a.z, b.z, c.z);
   vec2 together = deep.x * ua + deep.y * ub + deep.z * uc;
-  vec2 gradient = vec2(seen_as.z * together.x - seen_as.y * together.y,
-                       seen_as.x * together.y - seen_as.y * together.x) /
-                  (seen_as.x * seen_as.z - seen_as.y * seen_as.y);
+  vec2 gradient = ps_regression(seen_as, together);
 #endif
 #ifdef PS_DEFOCUS
   float covers = 12.566371 * sqrt(max(own.x * own.z - own.y * own.y, 0.0));
@@ -345,7 +351,8 @@ void main()
     kind = extent.y < 0.0 || optics.w > 0.5 ? PS_DEFOCUS_DISCONNECTED : turned ? PS_DEFOCUS_BACK : 0.0;
   }
 #endif
-  float k = ps_defocus_exponent((disk.x + disk.z) / (wide.x + wide.z), kind <= PS_DEFOCUS_BACK);
+  bool of_surface = kind <= PS_DEFOCUS_BACK || (kind == PS_DEFOCUS_TRANSLUCENT && !medium);
+  float k = ps_defocus_exponent((disk.x + disk.z) / (wide.x + wide.z), of_surface);
 #ifdef PS_HOLDOUT
   kind += ps_instance_row(instance, 3).x > 0.5 ? PS_DEFOCUS_HOLDOUT : 0.0;
 #endif
@@ -355,6 +362,12 @@ void main()
   out_centre = seen ? vec4(centre, d, amount * ps_defocus_peak(k, det)) : vec4(0.0);
   out_shape = seen ? vec4(vec3(wide.z, -wide.y, wide.x) / det, k + kind) : vec4(1.0, 0.0, 1.0, 0.0);
   out_source = vec4(ps_finite(source), reach);
+#ifdef PS_SLOPES
+  // No farther than the flat piece of surface in which it lies: what is round turns away.
+  float thin = 1e-4 * (own.x + own.z) + 1e-12, flat_piece = texelFetch(ps_span, at, 0).x * sqrt(own.x + own.z);
+  float shown = sqrt(2.0 * (k + 2.0) * max(wide.x, wide.z));
+  out_slope = vec4(ps_regression(own + vec3(thin, 0.0, thin), together) * min(1.0, flat_piece / shown), beside);
+#endif
 #else
   out_centre = seen ? vec4(centre, d, peak * kept * PS_PEAK) : vec4(0.0);
   out_shape = seen ? vec4(wide, 0.0) : vec4(1.0, 0.0, 1.0, 0.0);

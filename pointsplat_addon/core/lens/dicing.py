@@ -29,10 +29,16 @@ TRIANGLE_SHARE = np.sqrt(108) / (4 * np.pi)
 
 
 def dice_triangles(
-    mesh: Mesh, rows: np.ndarray, view_from_object: np.ndarray, camera: Camera, tolerance: float, blur: Blur
+    mesh: Mesh,
+    rows: np.ndarray,
+    view_from_object: np.ndarray,
+    camera: Camera,
+    tolerance: float,
+    blur: Blur,
+    in_focus: bool = False,
 ) -> Samples:
     """One sample, with the second moments of its patch, for each patch of triangles that may be out of focus and in the
-    picture. rows: triangles of the mesh; view_from_object: (4, 4); tolerance: pixels.
+    picture. rows: triangles of the mesh; view_from_object: (4, 4); tolerance: pixels; in_focus: of those in focus, too.
 
     Patches are cut across their longest edge in the picture until that spans as many pixels as disks of confusion of
     their size allow (`Blur.widest`).
@@ -47,7 +53,9 @@ def dice_triangles(
     while len(owner):
         depth = -corners[:, :, 2]
         least, most = blur.radius_range(np.maximum(depth.min(axis=1), near), np.maximum(depth.max(axis=1), near))
-        keep = _may_be_seen(corners, camera, blur) & (most > IN_FOCUS) & np.isfinite(corners).all(axis=(1, 2))
+        keep = (
+            _may_be_seen(corners, camera, blur) & (in_focus | (most > IN_FOCUS)) & np.isfinite(corners).all(axis=(1, 2))
+        )
         corners, weights, owner, depth, least = (a[keep] for a in (corners, weights, owner, depth, least))
         scale = 1 / np.maximum(depth, near) if camera.perspective else np.ones_like(depth)  # behind it: see below
         pixel = corners[:, :, :2] * (scale[:, :, None] * focal)

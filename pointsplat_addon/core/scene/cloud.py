@@ -30,6 +30,7 @@ ATTRIBUTES: dict[str, tuple[tuple[int, ...] | None, type]] = {
     "kernel": ((), np.uint8),
     "disconnected": ((), np.bool_),
     "share": ((), np.float32),
+    "span": ((), np.float32),
     "facets": ((4, 3), np.int8),
 }
 
@@ -71,6 +72,7 @@ class PointCloud:
     )
     disconnected: np.ndarray | None = None  # (N,) bool: foliage: closes no surface with its neighbours
     share: np.ndarray | None = None  # (N,) float32, 0 to 1: how much of a splat's ellipse or ball there is; None: all
+    span: np.ndarray | None = None  # (N,) float32: over a splat's size, that of the flat piece of surface it lies in
     # (N, 4, 3) int8, 127 times normals of which a splat shows one that faces the viewer, where it stands for a surface
     # that is turned to several sides: as long as the shares that these have in its area. Zeros: its own.
     facets: np.ndarray | None = None

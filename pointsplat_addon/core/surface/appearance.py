@@ -20,7 +20,7 @@ from ..scene.scene import Instances
 from ..scene.valid.geometry import valid_points
 from ..splat.kernel import PEAK
 from .evaluation import Evaluated
-from .sample_areas import sample_areas
+from .sample_areas import patch_shares, sample_areas
 from .samples import Samples, difference_along_half_axes, interpolate, material_ids
 
 CLIP = 0.5  # of alpha: surfaces that are not translucent are cut out below it
@@ -156,16 +156,22 @@ def point_cloud(
     cloud = replace(cloud, color=look.color, surface=look.surface, emission=look.emission)
     passes = passing(mesh, table)
     if passes is not None:
-        cloud = _with_opacity(cloud, passes[cloud.material], look, sample_areas(mesh, samples), table)
+        overlap = OVERLAP
+        if samples.method == "PATCHES" and samples.ellipse is not None:
+            # They are diced for a lens, which makes them add up evenly.
+            overlap, share = 1.0, np.maximum(patch_shares(samples.ellipse), np.finfo(np.float32).tiny)
+            cloud = replace(cloud, span=(1 / np.sqrt(share)).astype(np.float32))
+        cloud = _with_opacity(cloud, passes[cloud.material], look, sample_areas(mesh, samples), table, overlap)
     elif look.alpha is not None:
         cloud = cloud.take(look.alpha >= CLIP)
     return valid_points(cloud)[0]  # ellipses around triangles may be larger than these
 
 
 def _with_opacity(
-    cloud: PointCloud, passes: np.ndarray, look: Appearance, area: np.ndarray, table: MaterialTable
+    cloud: PointCloud, passes: np.ndarray, look: Appearance, area: np.ndarray, table: MaterialTable, overlap: float
 ) -> PointCloud:
-    """The splats that show, with their shares of opacity. passes (N,) bool: translucent; area (N,)."""
+    """The splats that show, with their shares of opacity. passes (N,) bool: translucent; area (N,); overlap: by which
+    these are wider than their ellipses."""
     assert cloud.radii is not None
     assert cloud.material is not None
     alpha = table.alpha[cloud.material] if look.alpha is None else look.alpha
@@ -177,7 +183,7 @@ def _with_opacity(
         hidden, shaded = hidden_and_shaded(hidden, color)
     most = hidden if hidden.ndim == 1 else hidden.max(axis=1)
     shows = np.where(passes, most > 0, alpha >= CLIP)
-    radii = cloud.radii * np.where(passes, np.float32(OVERLAP), np.float32(1))[:, None]
+    radii = cloud.radii * np.where(passes, np.float32(overlap), np.float32(1))[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         share = area / (np.pi * radii[:, 0].astype(np.float64) * radii[:, -1])
         depth = (optical_depth(hidden).T * share).T

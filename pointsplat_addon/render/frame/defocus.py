@@ -22,7 +22,7 @@ from ..device.protocol import Device, Texture
 from ..indirect.known_sites import Slices
 from ..indirect.light import IndirectLight
 from ..passes.defocus.gather import Defocus, defocus_program
-from ..passes.defocus.tile_lists import tile_lists
+from ..passes.defocus.tile_lists import Planes, tile_lists
 from ..passes.output.adaptive import Adaptive
 from ..passes.translucent.light import instances_of_rows, light_program, places_program
 from ..passes.translucent.lit_splats import LitSplats
@@ -128,8 +128,8 @@ class OutOfFocus:
         tiles = self.tiles
         assert tiles is not None
         program = defocus_program(
-            self.plan.background_defines, self.transparent, self.plan.translucent.tint, self.plan.translucent.holdout,
-            adaptive is not None, tiles.tile, self.plan.term,
+            self.plan.background_defines, self.transparent, self.plan.translucent.slopes, self.plan.translucent.tint,
+            self.plan.translucent.holdout, adaptive is not None, tiles.tile, self.plan.term,
         )  # fmt: skip
         sharp = {"ps_focused": self.targets.sums[0], "ps_focus": self.targets.focus}
         textures = {**self.uploads.behind, **behind, **sharp}
@@ -189,11 +189,11 @@ class OutOfFocus:
     def _list(self, view: SampleView) -> None:
         """Lists the lit splats by the tiles of the picture that they overlap."""
         lit = self.lit
-        centre, shape = (
-            self.device.read(lit.textures[name]).reshape(-1, 4)[: lit.count] for name in ("ps_centre", "ps_shape")
-        )
+        names = ("ps_centre", "ps_shape", "ps_slope") if "ps_slope" in lit.textures else ("ps_centre", "ps_shape")
+        centre, shape, *slopes = (self.device.read(lit.textures[name]).reshape(-1, 4)[: lit.count] for name in names)
         focal = np.array([*view.camera.pixel_from_view()[:2], *view.principal_point], np.float32).astype(np.float64)
-        self.tiles = Defocus(self.device, tile_lists(centre, shape, focal, self.targets.seen.size))
+        planes = Planes(slopes[0], view.camera.perspective) if slopes else None
+        self.tiles = Defocus(self.device, tile_lists(centre, shape, focal, self.targets.seen.size, planes))
 
     def release(self) -> None:
         self.lit.release()

@@ -30,6 +30,10 @@ from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from .point_sets import Layer, PointSet
 
+# Sizes of patches that light passes, over those of opaque ones. A sum of kernels that is almost whole is taken for whole
+# where it hides all; of what is seen through, each percent shows.
+SEEN_THROUGH = 0.7
+
 
 @record
 class OutOfFocusLayer(Layer):
@@ -91,22 +95,28 @@ class FocusSorter:
             def make(matrix: np.ndarray = matrix) -> PointCloud:
                 return dicing.dice_balls(points.cloud, matrix, self.camera, self.tolerance, self.blur)
 
-            self._add_diced(i, key, make, dicing.DISK_SHARE)
+            self._add_diced(i, PointSet(key, self.store.lookup(key, make)), dicing.DISK_SHARE)
 
     def add_mesh(self, instance: np.ndarray, geometry: Geometry, mesh: Mesh) -> None:
         """Adds the triangles of a mesh, diced for each of the instances (K,) int in this view."""
-        rows = np.arange(len(mesh.triangles))
-        origin, table = mesh_centre(mesh), self.scene.materials
         for i in instance.tolist():
-            matrix, own = self.view_from_object[i], shown_by(mesh, self.scene.instances, i)
-            key = Key(Kind.DICED, geometry.key, digest(own, table), other=self._view_key(matrix))
+            self._add_diced(i, self.diced(i, geometry, mesh), dicing.TRIANGLE_SHARE)
 
-            def make(matrix: np.ndarray = matrix, mesh: Mesh = own) -> PointCloud:
-                samples = dicing.dice_triangles(mesh, rows, matrix, self.camera, self.tolerance, self.blur)
-                samples = replace(samples, eye=self.camera)
-                return point_cloud(mesh, samples, evaluate(mesh, samples, origin), table)
+    def diced(self, instance: int, geometry: Geometry, mesh: Mesh, seen_through: bool = False) -> PointSet:
+        """Returns the triangles of a mesh, diced for one instance in this view. `seen_through`: light passes them; they
+        are all splats then, in focus or not."""
+        rows, origin, table = np.arange(len(mesh.triangles)), mesh_centre(mesh), self.scene.materials
+        matrix, own = self.view_from_object[instance], shown_by(mesh, self.scene.instances, instance)
+        key = Key(Kind.DICED, geometry.key, digest(own, table), other=(seen_through, *self._view_key(matrix)))
+        size = SEEN_THROUGH if seen_through else 1.0
+        finest, blur = size * self.tolerance, replace(self.blur, node=size * self.blur.node)
 
-            self._add_diced(i, key, make, dicing.TRIANGLE_SHARE)
+        def make() -> PointCloud:
+            samples = dicing.dice_triangles(own, rows, matrix, self.camera, finest, blur, seen_through)
+            samples = replace(samples, eye=self.camera)
+            return point_cloud(own, samples, evaluate(own, samples, origin), table)
+
+        return PointSet(key, self.store.lookup(key, make))
 
     def add_strands(self, geometry: Geometry, strands: Strands, levels: StrandLevels, segments: Segments) -> Segments:
         """Adds segments that may be out of focus, diced for this view; returns those that may be in focus."""
@@ -120,7 +130,7 @@ class FocusSorter:
             def make(ends: np.ndarray = ends, matrix: np.ndarray = matrix) -> PointCloud:
                 return dice_strands(levels, strands, ends, matrix, self.camera, self.tolerance, self.blur)
 
-            self._add_diced(i, key, make, RECTANGLE_SHARE)
+            self._add_diced(i, PointSet(key, self.store.lookup(key, make)), RECTANGLE_SHARE)
         return segments if kept.all() else segments.take(np.flatnonzero(kept))
 
     def _view_key(self, matrix: np.ndarray) -> tuple:
@@ -129,9 +139,8 @@ class FocusSorter:
         seen = camera.view_from_world.tobytes(), camera.clip_from_view.tobytes()
         return matrix.tobytes(), *seen, camera.window, self.blur, self.tolerance
 
-    def _add_diced(self, instance: int, key: Key, make: Callable[[], PointCloud], share: float) -> None:
+    def _add_diced(self, instance: int, points: PointSet, share: float) -> None:
         """Adds splats that were diced for this view, each of which covers `share` of its ellipse."""
-        points = PointSet(key, self.store.lookup(key, make))
         if len(points):
             self.shares[self._add(np.array([instance]), points)] = float(share)
 

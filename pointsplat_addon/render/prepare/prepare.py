@@ -35,7 +35,14 @@ from .meshes.coarse import coarse_mesh
 from .meshes.far import far_nodes
 from .meshes.hybrid import InstanceChoice, choose_parts, primitives_by_part
 from .meshes.panes import pane_rows
-from .meshes.points import Primitives, is_chosen_by_buffer, measured_mesh, points_or_polygons, sample_area_function
+from .meshes.points import (
+    Primitives,
+    is_chosen_by_buffer,
+    measured_mesh,
+    points_or_polygons,
+    sample_area_function,
+    spacing_allowed_by_bounds,
+)
 from .out_of_focus import FocusSorter, OutOfFocusLayer
 from .point_sets import Layer, PointSet, cloud_points, largest_radius, point_counts, set_ball, typical_diameter
 from .separation import is_translucent
@@ -108,7 +115,7 @@ def prepare(
     # Parts of meshes are all points or all polygons where either may be out of focus.
     divided = {} if focus else choose_parts(view, view_from_object, usable)
     strands = _strand_segments(view, view_from_object, usable, focus)
-    drawn = _drawn_primitives(view, view_from_object, usable, divided)
+    drawn = _drawn_primitives(view, view_from_object, usable, divided, focus)
     kinds = (drawn.opaque, drawn.translucent, drawn.spheres)
     captured = captured_instances(scene, usable)
     total = sum(int(point_counts(kind.sets)[kind.set_of_instance].sum()) for kind in kinds)
@@ -203,11 +210,17 @@ class _DrawnPrimitives:
 
 
 def _drawn_primitives(
-    view: View, view_from_object: np.ndarray, usable: np.ndarray, divided: dict[int, list[InstanceChoice | None]]
+    view: View,
+    view_from_object: np.ndarray,
+    usable: np.ndarray,
+    divided: dict[int, list[InstanceChoice | None]],
+    focus: FocusSorter | None,
 ) -> _DrawnPrimitives:
     """Returns the points and polygons of all geometries except strands, with hierarchies where they save time.
 
-    `divided`: by geometry row of meshes that are chosen for part by part, the choice of each instance.
+    `divided`: by geometry row of meshes that are chosen for part by part, the choice of each instance. `focus`: what
+    sorts by focus, if something may be out of it; then translucent triangles become patches as large as their blur
+    allows.
     """
     scene, instances = view.scene, view.scene.instances
     by_buffer = view.settings.technique == "VISIBILITY"  # which draws balls of all sizes
@@ -221,18 +234,26 @@ def _drawn_primitives(
         if len(where) == 0 or geometry.strands is not None or row in panes:
             continue
         view.check()
+        seen_through = is_translucent(geometry, scene.materials)
+        if seen_through and focus is not None and _is_diced(view, geometry, view_from_object[where]):
+            assert geometry.mesh is not None
+            for instance in where.tolist():
+                key = len(scene.geometries) + len(translucent.sets)
+                translucent.sets[key] = focus.diced(instance, geometry, geometry.mesh, seen_through=True)
+                translucent.set_of_instance[instance] = key
+            continue
         found = _primitives(view, geometry, view_from_object[where], divided.get(row))
         polygons.append(where[found.polygons])
         if found.coarse is not None:
             drawn.coarse[row] = found.coarse
         drawn.parts.update((int(where[i]), parts) for i, parts in found.parts.items())
         drawn.ranges.update((int(where[i]), ranges) for i, ranges in found.ranges.items())
-        kind = drawn.translucent if is_translucent(geometry, scene.materials) else drawn.opaque
+        kind = translucent if seen_through else opaque
         for number, (points, rows) in enumerate(found.points):
             if len(points) == 0:
                 continue
             some = where[rows]
-            if kind is drawn.opaque and not by_buffer:
+            if kind is opaque and not by_buffer:
                 wide = _instances_of_wide_balls(view, points, view_from_object[some])
                 if wide.any():
                     drawn.spheres.sets[row] = points
@@ -287,6 +308,14 @@ def _primitives(
         points, rest = far_nodes(view, measured, view_from_object)
         return Primitives(points, rest, coarse=coarse_mesh(view, measured, view_from_object[rest]))
     return points_or_polygons(view, measured, view_from_object)
+
+
+def _is_diced(view: View, geometry: Geometry, view_from_object: np.ndarray) -> bool:
+    """Whether instances, (I, 4, 4), of a geometry have triangles that are larger than samples of it would be."""
+    measured = measured_mesh(view, geometry)
+    if measured is None:
+        return False
+    return bool(measured.typical_edge > spacing_allowed_by_bounds(view, measured, view_from_object).min())
 
 
 def _instances_of_wide_balls(view: View, points: PointSet, view_from_object: np.ndarray) -> np.ndarray:

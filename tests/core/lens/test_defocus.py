@@ -304,6 +304,22 @@ def test_pieces_of_triangles_have_their_area_and_moments():
     assert (widest <= blur(seen).largest_splat(blur(seen).radius(depth), 1.0)).all()  # measured 0.76 of it
 
 
+def test_pieces_in_view_have_their_own_areas_though_others_of_their_triangles_are_not():
+    """Of a floor of two triangles a small part is in view, and all of it, in focus or not, is diced."""
+    mesh = plane_mesh("floor, of which a part is in view", 50.0)
+    matrix = lens().view_from_world @ moved((0, 0, -0.5)) @ np.diag([1.0, 1, 1, 1])[[0, 2, 1, 3]]
+    seen = lens(0.05, 5.0)
+    samples = dicing.dice_triangles(mesh, np.arange(2), matrix, seen, 1.0, blur(seen), in_focus=True)
+    assert samples.ellipse is not None
+    found = evaluate(mesh, samples)
+    own = np.pi * found.radii.prod(axis=1).astype(float) * dicing.TRIANGLE_SHARE
+    area = sample_areas(mesh, samples)
+    np.testing.assert_allclose(area, own, rtol=2e-4)  # measured 8.0e-5
+    assert area.sum() < 0.2 * 100.0**2  # measured 0.113
+    sharp = dicing.dice_triangles(mesh, np.arange(2), matrix, seen, 1.0, blur(seen))
+    assert len(sharp) < len(samples)
+
+
 def test_pieces_of_what_reaches_behind_the_eye_are_finite_and_few():
     mesh = plane_mesh("floor in pieces", 50.0)
     matrix = lens().view_from_world @ moved((0, 0, -0.5)) @ np.diag([1.0, 1, 1, 1])[[0, 2, 1, 3]]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.lens import kernel
-from pointsplat_addon.render.passes.defocus.tile_lists import tile_lists
+from pointsplat_addon.render.passes.defocus.tile_lists import TRANSLUCENT, Planes, tile_lists
 from tests.reference import defocus
 
 SIZE = (61, 43)  # neither is a multiple of a tile
@@ -65,6 +65,35 @@ def test_the_nearest_come_first(seed: int) -> None:
     within = np.setdiff1d(np.arange(1, len(depth)), ends)
     assert len(within) > 100
     assert (depth[within] >= depth[within - 1]).all()
+
+
+@pytest.mark.parametrize("perspective", [True, False])
+def test_what_light_passes_comes_in_the_order_of_planes(perspective: bool) -> None:
+    """Splats of two planes at a slant, one 1/500 of its depth behind the other, whose middles mix."""
+    random = np.random.default_rng(3)
+    place, shape, _, _ = splats(400, 3)
+    place = np.nan_to_num(place)
+    behind = random.random(400) < 0.5
+    # A plane's inverse depth changes evenly in perspective; its depth does for parallel rays.
+    across = 0.2 + place[:, :2] @ [0.001, -0.0004]
+    plane = (1 / across if perspective else 25 * across) * np.where(behind, 1.002, 1.0)
+    slope = -np.outer(plane * plane, [0.001, -0.0004]) * np.where(behind, 1 / 1.002, 1.0)[:, None]
+    slope = slope if perspective else np.outer(25 * np.where(behind, 1.002, 1.0), [0.001, -0.0004])
+    beside = random.uniform(-2, 2, (400, 2))  # their kernels lie beside their middles
+    place[:, 2] = plane
+    place[:, :2] += beside
+    shape[:, 3] = shape[:, 3] % 8 + TRANSLUCENT
+    planes = Planes(np.hstack([slope, beside]).astype(np.float32), perspective)
+    lists = tile_lists(place, shape, np.array([1.0, 1, 0, 0]), SIZE, planes)
+    first, amount = lists.tiles.reshape(-1, 2).T
+    mixed = 0
+    for at, count in zip(first, amount, strict=True):
+        mine = lists.entries[at : at + count]
+        assert (np.diff(behind[mine].astype(int)) >= 0).all()
+        mixed += bool(count) and place[mine[behind[mine]], 2].min(initial=9) < place[mine[~behind[mine]], 2].max(
+            initial=0
+        )
+    assert mixed > 100
 
 
 def _tiles(shown: np.ndarray, tile: np.ndarray, tiles: int) -> int:

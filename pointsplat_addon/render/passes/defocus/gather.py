@@ -5,6 +5,7 @@ The pass `light` (passes/translucent/light.py) leaves of each splat, one texel e
   centre  in pixels from the principal point, depth, kernel's middle: share of the lens; optical depth
   shape   inverse of the covariance (xx, xy, yy); exponent of the kernel, plus what kind it is (lib/splat/defocus.glsl)
   source  radiance, half extent in depth
+  slope   as in passes/translucent/light.py: where planes tell what lies before what
   tint    as in passes/translucent/light.py
 Tiles hold the column and the row at which their entries begin in the list, and their number.
 """
@@ -27,6 +28,7 @@ from .tile_lists import TileLists
 def defocus_program(
     lighting: tuple[str, ...],
     transparent: bool,
+    slopes: bool,
     tint: bool,
     holdout: bool,
     adaptive: bool,
@@ -36,7 +38,7 @@ def defocus_program(
     """Returns the program that gathers the splats of each pixel's tile.
 
     lighting: defines of the lights that are used; without fog only those of the world matter. transparent: the film is
-    transparent, so that no background is drawn. tint: splats transmit colours differently. holdout: some splats are
+    transparent, so that no background is drawn. slopes: of planes are known. tint: splats transmit colours differently. holdout: some splats are
     holdouts. adaptive: pixels differ in their number of samples. tile: pixels along a side of a tile. term: of light,
     that is drawn alone.
     """
@@ -44,12 +46,13 @@ def defocus_program(
     world = lighting if "PS_FOG" in lighting else tuple(name for name in lighting if name in of_world)
     named = {
         "PS_BACKGROUND": not transparent and "PS_BACKDROP" not in world,
+        "PS_SLOPES": slopes,
         "PS_TINT": tint,
         "PS_HOLDOUT": holdout,
         "PS_ADAPTIVE": adaptive,
     }
     read = ["splat_centre", "shape", "source", "list", "tiles", "focused", "focus"]
-    read += ["tint"] * tint + ["counts"] * adaptive
+    read += ["slope"] * slopes + ["tint"] * tint + ["counts"] * adaptive
     return Interface(
         "defocus",
         fragment="defocus/gather.frag",

@@ -9,6 +9,8 @@ from ....core.numeric.record import record
 from ....core.numeric.segments import owners, ranges, starts
 
 TILE = 4  # pixels on a side of tiles
+TRANSLUCENT = 16  # in the kinds of splats: shaders/lib/splat/defocus.glsl
+MOST_AWAY = (0.25, 4.0)  # of depth, over that of a splat in its plane elsewhere
 MOST_ENTRIES = 1 << 24  # of all tiles: beyond it they are made larger
 
 
@@ -21,8 +23,28 @@ class TileLists:
     entries: np.ndarray  # (E,) int64, rows of the splats
 
 
-def tile_lists(centre: np.ndarray, shape: np.ndarray, focal: np.ndarray, size: tuple[int, int]) -> TileLists:
-    """Of splats (N, 4) each, as the pass `light` left them; focal: fx, fy, cx, cy; size: of the picture in pixels."""
+@record
+class Planes:
+    """Planes in which splats lie, by which they are ordered: two panes one close behind the other have splats whose
+    middles mix."""
+
+    slope: np.ndarray  # (N, 4) as the pass `light` left it
+    perspective: bool
+
+    def depth(self, which: np.ndarray, depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Depths of planes, (E,) float, x and y pixels beside the middles of splats `which` (E,) at `depth` (E,)."""
+        dx, dy, beside_x, beside_y = self.slope[which].T
+        with np.errstate(all="ignore"):
+            away = np.nan_to_num(dx * (x + beside_x) + dy * (y + beside_y)) / np.maximum(depth, 1e-30)
+            # Along planes, the inverse of depth in perspective changes evenly.
+            return depth * (1 / np.clip(1 - away, *MOST_AWAY) if self.perspective else 1 + away)
+
+
+def tile_lists(
+    centre: np.ndarray, shape: np.ndarray, focal: np.ndarray, size: tuple[int, int], planes: Planes | None = None
+) -> TileLists:
+    """Of splats (N, 4) each, as the pass `light` left them; focal: fx, fy, cx, cy; size: of the picture in pixels.
+    `planes`: those that light passes are ordered by depths in the middle of each tile, not by those of their middles."""
     # Columns one by one: reducing rows of four takes several times as long.
     x, y, depth, peak = np.ascontiguousarray(centre.T)
     xx, xy, yy, code = np.ascontiguousarray(shape.T)
@@ -73,7 +95,20 @@ def tile_lists(centre: np.ndarray, shape: np.ndarray, focal: np.ndarray, size: t
         reach.append(side * np.sqrt(np.maximum((half * half - dy * dy) * narrow, 0)) - lean * dy)
     left, width = tiles_between(cx[owner] + reach[0] - rim[owner], cx[owner] + reach[1] + rim[owner], ends[0])
     where = ranges(row * columns + left, width, np.int32)
-    order = np.argsort(where.astype(np.uint16) if columns * rows <= 1 << 16 else where, kind="stable")
+    if planes is None:
+        order = np.argsort(where.astype(np.uint16) if columns * rows <= 1 << 16 else where, kind="stable")
+    else:
+        of = np.repeat(owner, width)
+        x, y = (at * tile + np.float32(0.5 * tile) for at in (where % columns, where // columns))
+        found = depth[seen[of]]
+        # Opaque ones are taken together by what their middles reach: a side of a body, seen at a slant, would be far
+        # before the others in its plane.
+        through = np.flatnonzero(code[seen[of]].astype(np.int32) & TRANSLUCENT)
+        of, x, y = of[through], x[through], y[through]
+        found[through] = planes.depth(seen[of], found[through], x - cx[of], y - cy[of])
+        # Depths are positive, so that their bits are in their order.
+        bits = found.view(np.int32)
+        order = np.argsort(where.astype(np.int64) << 32 | bits, kind="stable")
     amount = np.bincount(where, minlength=columns * rows)
     tiles = np.stack([starts(amount), amount], axis=1).reshape(rows, columns, 2)
     return TileLists(tile, tiles, seen[np.repeat(owner, width)[order]])

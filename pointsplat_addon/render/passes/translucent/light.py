@@ -7,6 +7,8 @@ What the pass `light` leaves of each splat of the list, one texel each:
   source  radiance of what is opaque in it (rgb): the splat's is this times 1 - T; the kernel's row k, -1 - k where
           the splat only cuts a hole; of captured splats, which are a kind of their own, the number of that kind
   front   standard deviation of depth along a ray, change of depth per pixel (x, y); where something opaque is drawn
+  slope   change of depth per pixel (x, y) along its plane, and how far `centre` lies beside where its depth is, in
+          pixels; where surfaces that light passes are out of focus
   tint    extinction by channel over that of the strongest
 """
 
@@ -89,6 +91,7 @@ def light_program(
     read = ("order", "instances", "position", "extent", "optics", "materials")
     read += tuple(name for name, on in options.attributes if on)
     read += ("share",) if options.defocus and options.fuzzy else ()
+    read += ("span",) if options.slopes else ()
     read += tuple(f"reach_{i}" for i in range(_reach_textures(reached, colored)))
     read += ("medium_light_of",) if options.gathered else ()
     read += ("gathered_light", "mirrored_light") if options.received else ()
@@ -99,6 +102,7 @@ def light_program(
     named |= {
         "PS_FUZZY_DISCONNECTED": options.disconnected,
         "PS_DEFOCUS": options.defocus,
+        "PS_SLOPES": options.slopes,
         "PS_STRANDS": options.strands,
         "PS_CENTRES": options.captured,
     }

@@ -36,6 +36,9 @@ class TranslucentOptions:
     trained: bool = False  # they are blended in display values, as training did, over the world alone
     term: Term | None = None  # of light, that is drawn alone; None: all of it
     mattes: bool = False  # meshes stand for the surfaces of some captured splats
+    slopes: bool = (
+        False  # their planes tell which lies before which: some are surfaces that light passes, and out of focus
+    )
     received: bool = False  # what surfaces among them receive from each other and the sky is known
 
     @property
@@ -95,6 +98,7 @@ def options(
         cull=fuzzy and bool(table.cull.any()),
         disconnected=not defocus and any(is_fuzzy(c) and c.disconnected is not None for c in clouds),
         defocus=defocus,
+        slopes=defocus and any(c.opacity is not None and c.extinction is None for c in clouds),
         grouped=grouped,
         strands=defocus and any(is_fuzzy(c) and c.kernel is not None for c in clouds),
         captured=captured,
@@ -106,7 +110,8 @@ def options(
 def lit_outputs(options: TranslucentOptions) -> tuple[str, ...]:
     """Returns what is written of each splat before it is blended: see light.py."""
     front = ("front",) if options.fronts else ()
-    return ("centre", "shape", "source", *front, *(("tint",) if options.tint else ()))
+    slope = ("slope",) if options.slopes else ()
+    return ("centre", "shape", "source", *front, *slope, *(("tint",) if options.tint else ()))
 
 
 def _is_colored(cloud: PointCloud) -> bool:

@@ -12,6 +12,7 @@ A page holds the splats of all translucent point sets, one texel a splat:
   tint            optical depth by channel over the strongest's    |
   shaded          what of that each channel's light is of          |
   shading_normal  packed normal, -1: none                         /
+  span            over the splat's size, that of the flat piece of surface in which it lies; where planes tell the order
 """
 
 from __future__ import annotations
@@ -61,6 +62,8 @@ class TranslucentPage(SplatPage):
         self.upload("optics", "RGBA32F", [
             _optics(c, points.is_lattice) for c, points in zip(clouds, sets, strict=True)
         ])  # fmt: skip
+        if options.slopes:
+            self.upload("span", "R32F", [np.ones(len(c), "f4") if c.span is None else c.span for c in clouds])
         if options.color:
             self.upload("color", "RGBA16F", [filled(c, "color", table.base_color) for c in clouds])
         if options.surface:
