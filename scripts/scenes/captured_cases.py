@@ -9,11 +9,11 @@ import numpy as np
 from pointsplat_addon.core.scene.captured import CapturedSplats
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
-from scripts.scenes.build import captured, mesh, moved, points, scene
+from scripts.scenes.build import captured, materials, mesh, moved, points, scene
 from scripts.scenes.cameras import Vector, camera
 from scripts.scenes.case import Case
 from scripts.scenes.clouds import smoke_cloud
-from scripts.scenes.meshes import cube_mesh, sphere_mesh
+from scripts.scenes.meshes import cube_mesh, plane_mesh, sphere_mesh
 
 # Turned, sheared, unevenly scaled and mirrored.
 SHEARED = np.array([[-1, -0.6, 0, -0.2], [0, 1.2, -0.3, 0], [0.2, 0, 0.5, 0.1], [0, 0, 0, 1.0]])
@@ -96,6 +96,24 @@ def captured_among() -> Case:
             (captured("captured among", random_splats(400, 3, size=0.1)), moved()),
             (points("smoke among captured", smoke_cloud()), moved((0.2, 0, 0))),
             (mesh(cube_mesh("cube among captured", 0.5), "POLYGONS"), moved((0.4, 0.3, 0))),
+        ),
+        camera(),
+        Settings(use_shadows=False),
+    )
+
+
+def captured_among_panes() -> Case:
+    """Splats around a cube, and two panes of glass, one close behind the other, before half of them."""
+    table = materials(3, base_color=[[0.8] * 3, [0.9, 0.2, 0.1], [0.1, 0.3, 0.9]], alpha=[1.0, 0.4, 0.6],
+                      translucent=np.array([False, True, True]))  # fmt: skip
+    front, back = (replace(plane_mesh(f"pane {row} before captured", 0.7), materials=(row,)) for row in (1, 2))
+    return Case(
+        scene(
+            (captured("captured among panes", random_splats(400, 3, size=0.1)), moved()),
+            (mesh(cube_mesh("cube among captured and panes", 0.3), "POLYGONS"), moved((-0.4, 0.3, 0))),
+            (mesh(front), moved((0.7, -0.6, 0))),
+            (mesh(back), moved((0.7, -0.599, 0))),
+            table=table,
         ),
         camera(),
         Settings(use_shadows=False),

@@ -10,6 +10,7 @@ from scripts.scenes.awkward_cases import far_away, inside, not_finite, scales
 from scripts.scenes.captured_cases import (
     captured_alone,
     captured_among,
+    captured_among_panes,
     captured_in_smoke,
     captured_lit,
     captured_matte,
@@ -89,6 +90,7 @@ CASES: dict[str, Callable[[], Case]] = {
         tinted_panes,
         captured_alone,
         captured_among,
+        captured_among_panes,
         captured_in_smoke,
         captured_lit,
         captured_matte,

@@ -1,5 +1,6 @@
 // What panes change in each cell: their light, less what they hide of what is opaque. ps_numbers, PS_PLACES: as in
 // layer.frag. PS_BEHIND: what open sub-samples show. Among translucent splats, what these send and hide, too.
+// PS_CENTRED: what is seen in the end, and less what is opaque.
 
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/groups.glsl"
@@ -9,6 +10,9 @@ void main()
 {
   ivec2 cell = ivec2(gl_FragCoord.xy), pixel = ivec2(floor(ps_pixel_from_cell(vec2(cell) + 0.5)));
   out_change = vec4(0.0);
+#ifdef PS_CENTRED
+  out_seen = vec4(0.0);
+#endif
   vec3 hidden = texelFetch(ps_hidden, cell, 0).rgb;
   bool inside = all(greaterThanEqual(pixel, ivec2(0))) && all(lessThan(pixel, u.size));
 #ifdef PS_AMONG_SPLATS
@@ -34,6 +38,11 @@ void main()
 #endif
     // Alpha is that of the mean of the channels, as in Cycles.
     float covered = (1.0 - shown.w) * dot(hidden, vec3(1.0 / 3.0));
+#ifdef PS_CENTRED
+    out_change = -shown;
+    out_seen = vec4(light + (1.0 - hidden) * shown.rgb, shown.w + covered);
+#else
     out_change = vec4(light - hidden * shown.rgb, covered);
+#endif
   }
 }

@@ -138,7 +138,7 @@ RULES: dict[type, dict[str, Rule]] = {
         **{name: Rule(REMOVE, *_DISTANCE) for name in LENGTHS},
         "velocity": Rule(DEFAULT, *_DISTANCE),  # the point has not moved
         **dict.fromkeys(
-            ("color", "opacity", "surface", "emission", "extinction", "shaded", "value", "share"),
+            ("color", "opacity", "surface", "emission", "extinction", "shaded", "value", "share", "span"),
             Rule(REMOVE, -FLOAT32, FLOAT32),
         ),
     },

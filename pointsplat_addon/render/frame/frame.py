@@ -202,7 +202,7 @@ class Frame:
 
     def _allocate_visibility(self, targets: VisibilityTargets) -> None:
         device, plan, run, over = self.device, self.frame_plan.plan, self.clock.run, None
-        if self.lit is not None and not plan.panes:
+        if self.lit is not None and (not plan.panes or self.lit.captured is not None):
             over = self._own(TranslucentLayers(device, plan, self.lit.lit, targets, self.targets.combined_target, run))
         passes = self.frame_plan.request.passes
         indirect = None

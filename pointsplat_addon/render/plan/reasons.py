@@ -77,6 +77,7 @@ LATE = {
     "order": "the order of an earlier picture still holds",
     "captured": "an earlier picture of the same view has them",
     "reach": "what reaches them is known from an earlier picture",
+    "difference": "panes are near all that is seen",
     "occlusion": "there are few triangles, or few that others may hide",
     "light passes": "no pass of light is asked for",
 }
@@ -209,7 +210,7 @@ def _of_translucent(plan: Plan, shadowed: bool, none: str) -> dict[str, str]:
         found["opaque depth"] = "the visibility buffer holds it"
     else:
         found |= dict.fromkeys(("expand", "difference"), "translucent splats are blended over each sample")
-    if plan.panes:
+    if plan.panes and not plan.translucent.captured:
         found["difference"] = "layers of panes tell what changes"
     if not plan.translucent.opaque:
         found["opaque depth"] = "nothing opaque hides what is translucent"

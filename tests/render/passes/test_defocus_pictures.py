@@ -78,7 +78,7 @@ def composited(at: np.ndarray, principal: np.ndarray, splats: defocus.Splats, sl
     for one in np.unique(tile, axis=0):
         mine = (tile == one).all(axis=1)
         # Of one plane, rounding decides: as there.
-        x, y = np.float32((one + 0.5) * tile_lists.TILE)[:, None] - place.T
+        x, y = ((one + 0.5) * tile_lists.TILE).astype(np.float32)[:, None] - place.T
         plane = planes.depth(np.arange(len(depth)), depth, x, y)
         order = np.argsort(np.where(splats.translucent, plane, depth), kind="stable")
         here = defocus.Splats(**{name: values[order] for name, values in vars(splats).items()})

@@ -202,6 +202,7 @@ ROWS: dict[str, Row] = {
     "visibility buffer, a cube in held out smoke": Row(lambda: smoke_and_cube(holdout=True)),
     "visibility buffer, smoke alone": Row(lambda: with_settings(translucent_cases.in_smoke(), technique="VISIBILITY")),
     "captured splats": Row(lambda: with_settings(captured_cases.captured_alone(), technique="VISIBILITY"), samples=16),
+    "captured splats, panes and a cube": Row(captured_cases.captured_among_panes, samples=16),
     "captured splats from far away": Row(captured_cases.captured_far),
     "captured splats, blended as trained": Row(captured_cases.captured_trained),
     "captured splats, blended as trained, transparent film": Row(
@@ -218,6 +219,9 @@ ROWS: dict[str, Row] = {
     "captured splats, depth": Row(captured_cases.captured_alone, COMBINED | {"depth"}),
     "captured splats in smoke": Row(captured_cases.captured_in_smoke),
     "visibility buffer, captured splats, smoke and a cube": Row(captured_cases.captured_among),
+    "visibility buffer, panes and a cube, out of focus": Row(
+        lambda: out_of_focus(with_settings(translucent_cases.panes(), technique="VISIBILITY"), 4.0), samples=4
+    ),
     "visibility buffer, points and polygons, out of focus, depth": Row(
         lambda: with_settings(through_a_lens("SPLAT"), technique="VISIBILITY"), COMBINED | {"depth"}
     ),

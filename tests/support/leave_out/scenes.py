@@ -268,9 +268,9 @@ def through_a_lens(method: str) -> Case:
     return with_settings(replace(case, camera=replace(case.camera, aperture=Aperture(0.3, 3.0))), dof_method=method)
 
 
-def out_of_focus(case: Case) -> Case:
-    """All of it, sharp at a distance of one."""
-    return replace(case, camera=replace(case.camera, aperture=Aperture(0.3, 1.0)))
+def out_of_focus(case: Case, focus: float = 1.0) -> Case:
+    """All of it, sharp at a distance of one, or what is not at another one."""
+    return replace(case, camera=replace(case.camera, aperture=Aperture(0.3, focus)))
 
 
 def before_a_picture() -> Case:

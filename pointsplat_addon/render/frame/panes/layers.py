@@ -81,27 +81,30 @@ class Panes:
         self._splats: SplatsBeforePanes | None = None
         if lit is not None:
             self._splats = owned.add(SplatsBeforePanes(device, plan, lit, self._buffer, run))
+        self._centred = self._splats is not None and self._splats.centred
         self._groups = owned.add(Groups(device, self._buffer))
         self._states = [{name: owned.texture(cells, format) for name, format in STATE.items()} for _ in range(2)]
         self._state_targets = [owned.target(*state.values()) for state in self._states]
-        self._change_targets = [owned.target(state["ps_light"]) for state in self._states]
+        names = ("ps_light", "ps_hidden") if self._centred else ("ps_light",)
+        self._change_targets = [owned.target(*(state[name] for name in names)) for state in self._states]
         self._numbers = owned.filled(number_texels(lattice), "R32F")
         self._members = owned.filled(member_texels(lattice, np.arange(lattice.count)), "RGBA32F")
 
     def draw(
         self, view: SampleView, tile: PictureTile, shaded: dict[str, Texture], weights: np.ndarray, coarse: bool
-    ) -> None:
-        """Adds to the sums what panes, and translucent splats among them, change in a tile.
+    ) -> np.ndarray | None:
+        """Adds to the sums what panes, and translucent splats among them, change in a tile of the picture.
 
         `shaded`: what opaque groups show, by sampler name. weights: (N, S), of the pixel filter. `coarse`: splats are
-        drawn at a lower resolution.
+        drawn at a lower resolution. Returns in which tiles of passes splats were drawn, (rows, columns) bool; None: in
+        none.
         """
         device, uploads = self._device, self._uploads
         panes = _Panes(uploads.scene, replace(uploads.prepared, polygons=uploads.prepared.panes), uploads.polygons)
         draws = polygon_draws(device, panes, view, 0, None)
         if self._splats is not None:
             self._splats.look(view, len(weights) ** 0.5 // 2 + 2 * COARSE, coarse)
-        last = None if self._splats is None else 0
+        last = None if self._splats is None or self._centred else 0
         device.clear(self._state_targets[0])
         if draws:
             cover = PolygonCover(device, draws, self._buffer, self._plan.variant.normal, (FOLLOWING, OPAQUE))
@@ -110,8 +113,10 @@ class Panes:
             finally:
                 cover.release()
             last = last if composed is None else composed
-        if last is not None:
-            self._add(view, tile, shaded, weights, last)
+        if last is None:
+            return None
+        self._add(view, tile, shaded, weights, last)
+        return None if self._splats is None else self._splats.tiles
 
     def _draw_layers(self, view: SampleView, cover: PolygonCover) -> int | None:
         """Composes all layers, and returns which of the states holds them; None: there are none."""
@@ -231,6 +236,7 @@ class Panes:
         record = view.record(COMPOSE, **self._buffer.values)
         device.draw(program, self._change_targets[1 - last], uniforms=record, textures=textures)
         rows = weight_rows(weights, np.arange(lattice.count))
+        centred = texture_of(device, self._splats.tiles, "R32F") if self._splats is not None and self._centred else None
         with_rows = texture_of(device, rows, "R32F")
         try:
             record = view.record(
@@ -238,9 +244,20 @@ class Panes:
                 neighbours=len(rows), **self._buffer.values,
             )  # fmt: skip
             bound = {"ps_change": other["ps_light"], "ps_members": self._members, "ps_weights": with_rows}
-            device.draw(filter_program(lattice), self._sums, uniforms=record, textures=bound, vertices=6, blend=True)
+            if centred is not None:
+                bound |= {"ps_seen": other["ps_hidden"], "ps_centred": centred}
+            device.draw(
+                filter_program(lattice, found.centred),
+                self._sums,
+                uniforms=record,
+                textures=bound,
+                vertices=6,
+                blend=True,
+            )
         finally:
             with_rows.release()
+            if centred is not None:
+                centred.release()
 
     def release(self) -> None:
         self._owned.release()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from ....core.splat.kernel import SUPPORT
 from ...device.owned import Owned, texture_of
 from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ...passes.grouping.groups import Groups
+from ...passes.tiles import TILE
 from ...passes.translucent.before_panes import (
     DENSE,
     KEEP,
@@ -25,7 +26,7 @@ from ...passes.translucent.before_panes import (
 )
 from ...passes.translucent.blend import COARSE, ENLARGE
 from ...passes.translucent.lit_splats import LitSplats
-from ...passes.translucent.strata import are_narrow, bounds, splats_over, tiles_by_layer, touched_tiles
+from ...passes.translucent.strata import are_narrow, bounds, splats_over, tiles_by_layer, touched_tiles, widened
 from ...passes.uniforms import SampleView
 from ...passes.visibility.buffer import VisibilityBuffer
 from ...plan.plan import Plan
@@ -86,6 +87,7 @@ class SplatsBeforePanes:
         assert plan.translucent is not None
         self._device, self._lit, self._run, self._options = device, lit, run, plan.translucent
         self.tint = plan.translucent.tint
+        self.centred = plan.translucent.captured  # all are looked at in pixels' centres, and only where panes are
         self._buffer_size, self._cells_size = buffer.size, buffer.cells
         self._owned = owned = Owned(device)
         self._names = ("", "_depths") if self.tint else ("",)
@@ -110,6 +112,12 @@ class SplatsBeforePanes:
     def look(self, view: SampleView, around: float, coarse: bool) -> None:
         """Finds where splats are in a view of a tile. `around`: pixels around a splat that count as touched.
         `coarse`: they are drawn at a lower resolution, and looked at once for each group."""
+        self._forget()
+        if self.centred:
+            nowhere, nothing = np.zeros([-(-side // TILE) for side in reversed(view.size)], bool), np.empty((0, 4))
+            where = _Where(nowhere, nowhere, None, 0.0)
+            self._seen, self._coarse_now = _Splats(nothing, nothing, nothing[:, 0], where, where), False
+            return
         centre, shape, front = (
             self._device.read(self._lit.textures[name]).reshape(-1, 4)[: self._lit.count]
             for name in ("ps_centre", "ps_shape", "ps_front")
@@ -122,7 +130,6 @@ class SplatsBeforePanes:
             touched_tiles(centre[some], shape[some], *where) if some.any() else np.zeros_like(touched)
             for some in (thin & (centre[:, 3] > DENSE), thin)
         )
-        self._forget()
         low_pass = LOW_PASS if thin.any() else 0.0
         before_panes = _Where(dense, touched & ~dense, self._narrow_mask(dense), low_pass)
         before_opaque = _Where(thin_tiles, touched & ~thin_tiles, self._narrow_mask(thin_tiles), low_pass)
@@ -135,6 +142,13 @@ class SplatsBeforePanes:
         `groups`: of the first layer.
         """
         assert self._seen is not None
+        if self.centred:
+            # The pixel filter takes in pixels of tiles beside those with panes.
+            nowhere = self._seen.before_panes.narrow
+            panes = widened(tiles_by_layer(groups.covered, ~nowhere)[0])
+            where = _Where(nowhere, panes, None, 0.0)
+            self._seen = replace(self._seen, before_panes=where, before_opaque=where)
+            return
         seen, touched = self._seen, self._seen.before_opaque.narrow
         narrow = seen.before_panes.narrow | (touched & ~tiles_by_layer(groups.covered, touched)[0])
         wide = (seen.before_opaque.wide | touched) & ~narrow
@@ -142,10 +156,16 @@ class SplatsBeforePanes:
             seen.before_opaque.mask.release()
         seen.before_opaque = _Where(narrow, wide, self._narrow_mask(narrow), seen.before_panes.low_pass)
 
+    @property
+    def tiles(self) -> np.ndarray:
+        """The tiles in which they are drawn among panes, (rows, columns) bool."""
+        assert self._seen is not None
+        return self._seen.before_opaque.narrow | self._seen.before_opaque.wide
+
     def found(self, open_too: bool) -> Found:
         """Where splats are, which programs that read what is drawn depend on."""
         where = self._where(open_too)
-        return Found(bool(where.narrow.any()), bool(where.wide.any()), self.tint)
+        return Found(bool(where.narrow.any()), bool(where.wide.any()), self.tint, self.centred)
 
     def _where(self, open_too: bool) -> _Where:
         assert self._seen is not None
@@ -157,7 +177,7 @@ class SplatsBeforePanes:
         `groups`: of the buffer. `open_too`: all of them, too, where nothing is.
         """
         where, textures = self._where(open_too), {}
-        farthest = np.inf if open_too else self._farthest(view, groups)
+        farthest = np.inf if open_too or self.centred else self._farthest(view, groups)
         if where.narrow.any():
             self._draw_cells(view, buffer, groups, open_too, farthest)
             assert where.mask is not None
@@ -212,7 +232,6 @@ class SplatsBeforePanes:
         """Draws splats over nothing up to the depth of a layer in tiles (rows, columns) bool."""
         assert self._seen is not None
         device, around, run = self._device, bounds(tiles), self._run
-        rows, widest = self._seen.over(tiles, view, farthest)
         wanted = texture_of(self._device, tiles, "R32F")
         try:
             run("expand", lambda: self._expand(view, groups, layer, wanted))
@@ -226,6 +245,12 @@ class SplatsBeforePanes:
             textures = {"ps_coarse": self._coarse}
             run("enlarge", lambda: device.draw(ENLARGE, targets[""], textures=textures, over=True))
             return
+        if self.centred:
+            seen = replace(view, offset=(0.0, 0.0))
+            where = targets[""], seen, self._place
+            run("translucent", lambda: self._lit.draw(*where, bounds=around, tiles=tiles))
+            return
+        rows, widest = self._seen.over(tiles, view, farthest)
         where = view, self._place, (1.0, 0.0), (0.0, 0.0), rows, widest, around, low_pass
         for name, target in targets.items():
             run(

@@ -98,10 +98,11 @@ class Visibility:
             self._draw_primitives(seen)
             if sums is not None:
                 shaded = yield from self._shade(seen, tile, sums)
-                if self._translucent is not None:
-                    self._translucent.draw(seen, tile, shaded, self.weights(seen), coarse)
+                drawn = None
                 if self._panes is not None:
-                    self._panes.draw(seen, tile, shaded, self.weights(seen), coarse)
+                    drawn = self._panes.draw(seen, tile, shaded, self.weights(seen), coarse)
+                if self._translucent is not None:
+                    self._translucent.draw(seen, tile, shaded, self.weights(seen), coarse, drawn)
             if central:
                 self._draw_central(seen, tile)
             if identify:

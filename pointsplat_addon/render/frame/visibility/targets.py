@@ -48,11 +48,16 @@ class VisibilityTargets:
         if plan.background and plan.picture:
             self.behind = behind = self._own(device.texture(of_tile, "RGBA32F"))
             self.behind_target: Target = self._own(device.target([behind]))
-        self.translucent: LayerTargets | None = None
-        if plan.translucent is not None and not plan.defocus and not plan.panes:
-            self.translucent = self._own(LayerTargets(device, plan, of_tile))
+        self._translucent: LayerTargets | None = None
         self._lists: _Lists | None = None
         self._lists_of_panes: _Lists | None = None
+
+    @property
+    def translucent(self) -> LayerTargets:
+        """What translucent splats are blended in, made where it is first asked for."""
+        if self._translucent is None:
+            self._translucent = self._own(LayerTargets(self._device, self._plan, self.size_of_tile))
+        return self._translucent
 
     def lists(self, size: tuple[int, int]) -> _Lists:
         """Returns the attributes and the shading of groups, for a list of this size; those of before where they fit."""
@@ -85,6 +90,7 @@ class VisibilityTargets:
         for item in reversed(self._owned):
             item.release()
         self._owned.clear()
+        self._translucent = None
 
     def release(self) -> None:
         self.release_cells()

@@ -39,7 +39,7 @@ from ...passes.translucent.strata import (
 )
 from ...passes.uniforms import SampleView
 from ...plan.plan import Plan
-from .targets import VisibilityTargets
+from .targets import LayerTargets, VisibilityTargets
 from .tiles import PictureTile
 from .translucent_cells import TranslucentCells, TranslucentPlaces
 
@@ -54,10 +54,9 @@ class TranslucentLayers:
     ) -> None:
         """`sums`: of Combined alone. `run` times each pass."""
         assert plan.translucent is not None
-        assert targets.translucent is not None
         self._device, self._lit, self._sums, self._run = device, lit, sums, run
         self._options = plan.translucent
-        self._targets, self._layers = targets, targets.translucent
+        self._targets = targets
         self._difference = difference_program(plan.translucent)
         self._centred = plan.translucent.centred
         self._cells: TranslucentCells | None = None
@@ -65,20 +64,29 @@ class TranslucentLayers:
         self._filter_size = plan.filter_size
 
     def draw(
-        self, view: SampleView, tile: PictureTile, shaded: dict[str, Texture], weights: np.ndarray, coarse: bool
+        self,
+        view: SampleView,
+        tile: PictureTile,
+        shaded: dict[str, Texture],
+        weights: np.ndarray,
+        coarse: bool,
+        drawn: np.ndarray | None,
     ) -> None:
         """Adds to the sums what translucent splats change in a tile.
 
         `shaded`: what groups show, by sampler name. weights: (N, S), of the pixel filter. `coarse`: one sub-sample
-        stands for all, and splats are drawn at a lower resolution.
+        stands for all, and splats are drawn at a lower resolution. `drawn`: tiles of passes in which captured splats are
+        drawn already, among panes, (rows, columns) bool; None: in none.
         """
-        device, layers, lattice = self._device, self._layers, self._targets.buffer.lattice
-        device.clear(layers.difference_target)
+        device, lattice = self._device, self._targets.buffer.lattice
+        if drawn is not None and drawn.all():
+            return
+        device.clear(self._layers.difference_target)
         if self._options.captured:
             # Boxes of all splats would take longer to find than tiles without any take to draw.
             every = np.arange(lattice.count)
             touched = np.ones([-(-side // TILE) for side in reversed(view.size)], bool)
-            self._draw_layers(view, every, weights, shaded, touched)
+            self._draw_layers(view, every, weights, shaded, touched if drawn is None else ~drawn)
             self._add(tile)
             return
         around = len(weights) ** 0.5 // 2 + 2 * COARSE
@@ -94,6 +102,10 @@ class TranslucentLayers:
             if (wide := touched & ~narrow).any() or not narrow.any():
                 self._draw_layers(view, every, weights, shaded, wide)
         self._add(tile)
+
+    @property
+    def _layers(self) -> LayerTargets:
+        return self._targets.translucent
 
     def _draw_narrow(
         self,

@@ -201,7 +201,6 @@ class TranslucentCells:
         mask: Texture | None,
     ) -> None:
         """Adds differences in a block, by a program with these uniforms that weighs its cells by `rows`."""
-        assert self._targets.translucent is not None
         textures = textures | {"ps_members": self._members, "ps_weights": rows}
         if mask is not None:
             program, textures = in_part(program), textures | {"ps_part": mask}

@@ -8,6 +8,10 @@ up to what is opaque. Where panes are they are looked at once for each group of 
 what is narrower than a pixel is widened, its mass kept; only where such a splat hides much in itself, sub-samples look
 at it one by one, as they do where no panes are. Where the light that passes is coloured, optical depths are added up,
 channel by channel.
+
+Captured splats have the pixel filter in them, and are looked at in pixels' centres alone. Where panes are among them, a
+pixel shows its own sub-samples, all alike, in place of those that the pixel filter takes in: what the splats hide of
+each of these and what they send would otherwise be filtered twice. Elsewhere they are blended as without panes.
 """
 
 from __future__ import annotations
@@ -35,6 +39,7 @@ class Found:
     narrow: bool  # in some they are looked at in each sub-sample
     wide: bool  # in some once for each group
     tint: bool  # what they hide differs between the channels
+    centred: bool = False  # some are captured: a pixel of these tiles shows its own sub-samples, all alike
 
     def samplers(self, open_too: bool) -> tuple[str, ...]:
         """Names of the textures of floats that are read; `open_too`: of what is open, too."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 from ....core.numeric.lattice import Lattice
 from ....shading.interface import Interface
 from ..shading.terms import TRANSMISSION, Term
+from ..tiles import TILE_DEFINE
 from ..uniforms import CAMERA_FIELDS, RECTANGLE_FIELDS, block
 from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS
 from .before_panes import NOTHING, Found
@@ -63,16 +64,22 @@ def change_program(behind: bool, places: bool, splats: Found = NOTHING) -> Inter
     read += splats.samplers(True)
     return Interface(
         "change", fragment="panes/change.frag", block=COMPOSE,
-        samplers=(*CODES, *(("FLOAT_2D", name) for name in read)), outputs=(("vec4", "out_change"),),
-        defines=(*_listed(places), *((("PS_BEHIND", "1"),) if behind else ()), *splats.defines(True)),
+        samplers=(*CODES, *(("FLOAT_2D", name) for name in read)),
+        outputs=(("vec4", "out_change"), *((("vec4", "out_seen"),) if splats.centred else ())),
+        defines=(*_listed(places), *((("PS_BEHIND", "1"),) if behind else ()), *splats.defines(True),
+                 *((("PS_CENTRED", "1"),) if splats.centred else ())),
     )  # fmt: skip
 
 
-def filter_program(lattice: Lattice) -> Interface:
+def filter_program(lattice: Lattice, centred: bool = False) -> Interface:
     """Returns the program that adds the changes in the cells of pixels and of their neighbours to the sums, by the
-    weights of the pixel filter."""
+    weights of the pixel filter. `centred`: in some tiles, what pixels show of their own sub-samples alone."""
     return Interface(
         "filter panes", vertex="common/rectangle.vert", fragment="panes/filter.frag", block=FILTER,
-        samplers=tuple(("FLOAT_2D", name) for name in ("ps_change", "ps_members", "ps_weights")),
-        outputs=(("vec4", "out_combined"),), defines=(LATTICE_DEFINE,),
+        samplers=tuple(
+            ("FLOAT_2D", name)
+            for name in ("ps_change", "ps_members", "ps_weights", *(("ps_seen", "ps_centred") if centred else ()))
+        ),
+        outputs=(("vec4", "out_combined"),),
+        defines=(LATTICE_DEFINE, *((TILE_DEFINE, ("PS_CENTRED", "1")) if centred else ())),
     )  # fmt: skip
