@@ -30,8 +30,8 @@ from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from .point_sets import Layer, PointSet
 
-# Sizes of patches that light passes, over those of opaque ones. A sum of kernels that is almost whole is taken for whole
-# where it hides all; of what is seen through, each percent shows.
+# Sizes of patches that light passes, over those of opaque ones. A sum of kernels that is almost whole is taken for
+# whole where it hides all; of what is seen through, each percent shows.
 SEEN_THROUGH = 0.7
 
 

@@ -75,8 +75,8 @@ class TranslucentLayers:
         """Adds to the sums what translucent splats change in a tile.
 
         `shaded`: what groups show, by sampler name. weights: (N, S), of the pixel filter. `coarse`: one sub-sample
-        stands for all, and splats are drawn at a lower resolution. `drawn`: tiles of passes in which captured splats are
-        drawn already, among panes, (rows, columns) bool; None: in none.
+        stands for all, and splats are drawn at a lower resolution. `drawn`: tiles of passes in which captured splats
+        are drawn already, among panes, (rows, columns) bool; None: in none.
         """
         device, lattice = self._device, self._targets.buffer.lattice
         if drawn is not None and drawn.all():

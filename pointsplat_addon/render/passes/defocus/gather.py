@@ -38,9 +38,9 @@ def defocus_program(
     """Returns the program that gathers the splats of each pixel's tile.
 
     lighting: defines of the lights that are used; without fog only those of the world matter. transparent: the film is
-    transparent, so that no background is drawn. slopes: of planes are known. tint: splats transmit colours differently. holdout: some splats are
-    holdouts. adaptive: pixels differ in their number of samples. tile: pixels along a side of a tile. term: of light,
-    that is drawn alone.
+    transparent, so that no background is drawn. slopes: of planes are known. tint: splats transmit colours differently.
+    holdout: some splats are holdouts. adaptive: pixels differ in their number of samples. tile: pixels along a side of
+    a tile. term: of light, that is drawn alone.
     """
     of_world = ("PS_HAS_WORLD", "PS_HAS_ENVIRONMENT", "PS_BACKDROP")
     world = lighting if "PS_FOG" in lighting else tuple(name for name in lighting if name in of_world)
