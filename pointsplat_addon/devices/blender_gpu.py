@@ -21,6 +21,8 @@ from typing import Any
 import gpu
 import numpy as np
 
+from ..core.numeric.blocks import empty_block
+from ..core.numeric.vectors import each_block
 from ..render.device import protocol as checks
 from ..render.device.protocol import CHANNELS, DEPTH_BYTES, DeviceError, Limits, Target, Texture, Timer, to_half
 from ..shading import sources
@@ -51,10 +53,12 @@ def available() -> tuple[bool, str]:
 class BlenderTexture:
     def __init__(self, device: BlenderDevice, size: tuple[int, int], format: str, data: checks.Texels | None):
         self.size, self.format = size, format
+        given = data if isinstance(data, np.ndarray) else None
         if data is not None and not isinstance(data, np.ndarray):
             data = _written(data, size[0] * size[1], CHANNELS[format])
         if data is not None and format == "RGBA16F":
-            data = to_half(data)  # exact for any driver then: Blender 4.5 would round towards zero
+            # Exact for any driver then: Blender 4.5 would round towards zero.
+            data = _rounded_to_half(data.reshape(-1), np.empty(data.size, np.float32) if data is given else data)
         content = {} if data is None else {"data": _buffer(data)}
         self.handle: Any = gpu.types.GPUTexture(size, format=format, **content)
         if hasattr(self.handle, "filter_mode"):
@@ -264,9 +268,19 @@ class BlenderDevice:
 
 def _written(write: checks.WriteTexels, count: int, channels: int) -> np.ndarray:
     """All texels at once: parts of a texture cannot be replaced here."""
-    texels = np.empty((count, channels), np.float32)
+    texels = empty_block({"": ((count, channels), np.dtype(np.float32))})[""]  # which goes back to the system at once
     write(texels, slice(0, count))
     return texels.reshape(-1)
+
+
+def _rounded_to_half(data: np.ndarray, out: np.ndarray) -> np.ndarray:
+    """Returns `out`, which may be `data`, with what float16 holds of the numbers. data, out: (n,) float32."""
+
+    def convert(block: slice) -> None:
+        out[block] = to_half(data[block])
+
+    each_block(len(data), convert)
+    return out
 
 
 def _buffer(array: np.ndarray) -> gpu.types.Buffer:

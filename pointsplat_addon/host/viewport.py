@@ -110,7 +110,7 @@ class Viewport:
         more = more or not frame.complete or bool(self._followers)
         streamed = frame.frame_plan.streamed
         if streamed is not None and self._begun != begun:
-            self._arrivals.drawn(began, time.perf_counter() - began, self._hasty)
+            self._arrivals.drawn(began, time.perf_counter() - began, self._hasty, POOL.arrivals)
         if self._coarse and self._begun != begun:
             wait(MAIN_GPU.renderer().device)
             self._pace.measured(time.perf_counter() - began)
@@ -225,7 +225,8 @@ class Viewport:
         if not POOL.is_busy(VIEWPORT):
             return self._hasty or streamed.arrivals != POOL.arrivals
         arrived = POOL.arrivals - streamed.arrivals
-        return self._arrivals.are_enough(time.perf_counter(), streamed.drawn, arrived, POOL.missing(VIEWPORT))
+        missing, there = POOL.missing(VIEWPORT), POOL.arrivals
+        return self._arrivals.are_enough(time.perf_counter(), streamed.drawn, arrived, missing, there)
 
     def _drop(self) -> None:
         """Release the frame, so that the next drawing starts another."""

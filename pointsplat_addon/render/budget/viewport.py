@@ -22,6 +22,8 @@ FIRST = 2  # of these: with a sixteenth of the points
 MORE_PAGES = 0.25  # of those of a picture have to come before another one is drawn, or all that are to come
 LONGEST_PAUSE = 2.0  # seconds, after which fewer pages are enough, where that is longer than drawing takes
 LEAST_PAUSE = 0.3  # seconds between two pictures of a still view for which pages come
+COMPILING = 0.5  # of the time of the first picture: it compiles shaders
+PIXELS_AS_PAGES = 64  # that take as long as the pixels of a picture of fewer
 HASTY_PIXELS = (
     2  # how many pixels one of such a picture takes each way, where fine ones would take longer than LEAST_PAUSE
 )
@@ -70,27 +72,33 @@ class Arrivals:
         """Begins anew: nothing has been drawn of the scene."""
         self.begun = False  # whether a picture was
         self._at, self._took = 0.0, 0.0  # when the last one was begun, and what drawing it took, seconds
+        self._ended, self._there = 0.0, 0  # when it was done, and how many pages had come until then
+        self._again = 0.0  # what drawing it once more would take, at most
 
-    def drawn(self, at: float, seconds: float, hasty: bool) -> None:
-        """Takes in that a picture was begun at a time and took so long. `hasty`: one of which pages are to come."""
+    def drawn(self, at: float, seconds: float, hasty: bool, there: int) -> None:
+        """Takes in that a picture was begun at a time and took so long. `hasty`: one of which pages are to come;
+        `there`: pages that have come since the program began."""
+        self._ended, self._there, self._again = at + seconds, there, seconds
         if self.begun:
             if hasty:
                 fine = seconds * self.pixels**2  # at most
                 self.pixels = HASTY_PIXELS if fine > LEAST_PAUSE else 1
         else:
+            self._again *= 1 - COMPILING
             seconds = 0.0  # it compiled shaders, which others need not
         self.begun, self._at, self._took = True, at, seconds
 
-    def are_enough(self, now: float, pages: int, arrived: int, missing: int) -> bool:
+    def are_enough(self, now: float, pages: int, arrived: int, missing: int, there: int) -> bool:
         """Whether another picture is drawn while pages come. `pages`: of the last one; `arrived`: since that was begun;
-        `missing`: that are still to come. As much time goes to pages as to drawing what is there, and pictures are
-        those of ever more pages; none is drawn where all will have come before it is done."""
-        since = now - self._at
+        `missing`: that are still to come; `there`: see `drawn`. As much time goes to pages as to drawing what is there,
+        and pictures are those of ever more pages; none is drawn where all will have come before it is done, at the rate
+        at which they come while nothing is drawn."""
+        since, idle, came = now - self._at, now - self._ended, there - self._there
         more = arrived > MORE_PAGES * pages or (arrived > 0 and since > LONGEST_PAUSE)
-        if not (more and since > 2 * self._took + LEAST_PAUSE):
+        if not (more and since > 2 * self._took + LEAST_PAUSE and idle > LEAST_PAUSE):
             return False
-        took = self._took * (pages + arrived) / max(pages, 1)  # of the next picture, at most
-        return missing * since > took * arrived
+        took = self._again * (pages + arrived) / max(pages, PIXELS_AS_PAGES)  # of the next picture, at most
+        return missing * idle > took * came
 
 
 class Moving:

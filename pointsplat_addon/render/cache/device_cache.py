@@ -65,8 +65,11 @@ class DeviceCache(Cache):
     def forget_streamed(self, but: Set[str] = frozenset()) -> None:
         """Frees what shows other pages of scans than a frame in the making does, and shadow maps that none uses. `but`:
         content keys of what else stays."""
-        loose = self.keys() - set().union(*self._in_use)
-        self.drop({key for key in loose if key.kind in CHANGING or not but.issuperset(streamed_names(key))})
+        self.forget({key for key in self.keys() if key.kind in CHANGING or not but.issuperset(streamed_names(key))})
+
+    def forget(self, keys: Set[Key]) -> None:
+        """Frees those of the items that no frame in the making uses."""
+        self.drop((keys & self.keys()).difference(*self._in_use))
 
     def trim_unused(self) -> None:
         """Frees what no frame in the making uses, least recently used first, until the rest fits; of shadow maps all

@@ -197,6 +197,28 @@ def wait(device: Device) -> None:
     texel.release()
 
 
+_TEXEL = (("FLOAT_2D", "ps_texel"),)
+LET_GO = Interface("let go", compute="device/let_go.comp", samplers=_TEXEL, images=(("R32UI", "cell"),))
+DRAW_NOTHING = Interface(
+    "let go", vertex="device/let_go.vert", fragment="device/let_go.frag", samplers=_TEXEL, outputs=(("vec4", "color"),)
+)
+
+
+def let_go(device: Device) -> None:
+    """Has the driver let go of what the last draw and dispatch have read: Mesa keeps it, released or not, until others
+    have read something in its place."""
+    with released_on_failure(device):
+        texel, pixel = device.texture((1, 1), "R32F", np.zeros(1, np.float32)), device.texture((1, 1), "R32F")
+        target, cell = device.target([pixel]), device.texture((1, 1), "R32UI")
+        device.draw(DRAW_NOTHING, target, textures={"ps_texel": texel})
+        if device.limits.image_atomics:
+            device.fill(cell)
+            device.dispatch(LET_GO, 1, textures={"ps_texel": texel}, images={"cell": cell})
+        device.read(pixel)
+    for one in (target, texel, pixel, cell):
+        one.release()
+
+
 def check_texture(size: tuple[int, int], format: str, data: Texels | None, limits: Limits) -> None:
     """Checks a texture. DeviceError: no device can make it, or the data have another size."""
     width, height = size

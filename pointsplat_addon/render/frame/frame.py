@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from ...core.lens.backdrop import backdrop_grid
+from ...core.numeric.blocks import give_back
 from ...core.numeric.lattice import lattice_of
 from ...core.scene.scene import Scene
 from ...core.strand.segments import sample_offsets
 from ..device.clock import Clock
-from ..device.protocol import Texture
+from ..device.protocol import Texture, let_go
 from ..indirect.known_sites import Slices
 from ..indirect.light import IndirectLight
 from ..indirect.traced import shines_past_rays
@@ -138,9 +139,10 @@ class Frame:
         count = levels(frame_plan.prepared.largest, frame_plan.view.resolution)
         primitives = frame_plan.splats + frame_plan.triangles + frame_plan.segments
         primitives += IN_INSTANCE * len(frame_plan.scene.instances)
-        most_cells = cells_of_tile(primitives, plan.presented)
+        most_cells = cells_of_tile(primitives, plan.presented or frame_plan.streamed is not None)
         wanted = plan, request.passes, frame_plan.view.window[2:], count, most_cells
         self.renderer.pool.make_room(*wanted)
+        self._give_back()
         self.uploads: Uploads = self._own(
             Uploads(
                 self.renderer.store,
@@ -161,6 +163,7 @@ class Frame:
         self.uploads.draw_maps(run)
         if plan.backdrop:
             self.backdrop = self._own(Backdrop(device, backdrop_grid(frame_plan.view, device.limits.texture_size)))
+        self._give_back()
         self._lent = self.renderer.pool.borrow(*wanted)
         self.targets = self._lent[1]
         if self.targets.sums:
@@ -199,6 +202,12 @@ class Frame:
             self._allocate_visibility(self.targets.visibility)
         elif self.lit is not None:
             self.translucent = Translucent(device, plan, self.lit, self.targets, run)
+
+    def _give_back(self) -> None:
+        """Gives freed memory back to the system, where much of it comes and goes and there is time for it."""
+        if self.frame_plan.streamed is not None and not self.frame_plan.request.moving:
+            let_go(self.device)
+            give_back()
 
     def _allocate_visibility(self, targets: VisibilityTargets) -> None:
         device, plan, run, over = self.device, self.frame_plan.plan, self.clock.run, None
@@ -603,6 +612,7 @@ class Frame:
         self._lent = None
         self._own(self.targets)
         visibility.release_cells()
+        self._give_back()
 
     def release(self) -> None:
         """Frees everything on the device that only this picture needs."""

@@ -56,29 +56,45 @@ def test_the_first_picture_and_a_slow_one_are_forgotten():
 def test_pictures_while_pages_come_leave_time_for_them(rate, took):
     pages, begun = 1000, []
     arrivals = Arrivals()
-    arrivals.drawn(0.0, 5.0, hasty=True)  # compiles shaders
-    shown, at = 1, 0.0
+    arrivals.drawn(-1.0, 1.0, hasty=True, there=0)  # compiles shaders
+    shown, at = 64, 0.0
     for now in np.arange(0.0, pages / rate, 0.01):
         there = min(int(rate * now), pages)
-        if now >= at and arrivals.are_enough(now, shown, there - shown, pages - there):
+        if now >= at and arrivals.are_enough(now, shown, there - shown, pages - there, there):
             seconds = took * there / pages
             known = seconds if begun else 0.0  # what the first took was compiling
             assert now + known < pages / rate + 0.01  # else all would have come before it is done
             begun.append((now, seconds))
-            arrivals.drawn(now, seconds, hasty=True)
+            arrivals.drawn(now, seconds, hasty=True, there=int(rate * (now + seconds)))
             shown, at = there, now + seconds
     gaps = np.diff([now for now, _ in begun])
     assert all(gap >= 2 * seconds + LEAST_PAUSE for gap, (_, seconds) in zip(gaps, begun, strict=False))
     assert begun or pages / rate < LEAST_PAUSE or took > pages / rate / 2
 
 
+def test_no_picture_is_drawn_where_pages_come_fast_while_nothing_is():
+    """Drawing the first one of 64 pages has held up the others: 100 came in two seconds, and then 500 in one."""
+    arrivals = Arrivals()
+    arrivals.drawn(0.0, 2.0, hasty=True, there=164)
+    for now in np.arange(2.0, 3.6, 0.01):
+        there = 164 + int(500 * (now - 2))
+        assert not arrivals.are_enough(now, 64, there - 64, 1000 - there, there)
+    # Of a file from which 20 come in a second there is a picture, as soon as that is known.
+    first = next(
+        now
+        for now in np.arange(2.0, 4.0, 0.01)
+        if arrivals.are_enough(now, 64, (came := int(20 * (now - 2))) + 100, 836 - came, 164 + came)
+    )
+    assert first < 2.0 + 2 * LEAST_PAUSE
+
+
 def test_pixels_are_coarse_while_pages_come_only_where_fine_ones_take_long():
     arrivals = Arrivals()
-    arrivals.drawn(1.0, 5.0, hasty=True)  # compiles shaders
+    arrivals.drawn(1.0, 5.0, hasty=True, there=0)  # compiles shaders
     assert arrivals.pixels == HASTY_PIXELS
-    arrivals.drawn(2.0, 0.5 * LEAST_PAUSE / HASTY_PIXELS**2, hasty=True)
+    arrivals.drawn(2.0, 0.5 * LEAST_PAUSE / HASTY_PIXELS**2, hasty=True, there=0)
     assert arrivals.pixels == 1
-    arrivals.drawn(3.0, 2.0 * LEAST_PAUSE, hasty=True)
+    arrivals.drawn(3.0, 2.0 * LEAST_PAUSE, hasty=True, there=0)
     assert arrivals.pixels == HASTY_PIXELS
-    arrivals.drawn(4.0, 0.1 * LEAST_PAUSE, hasty=False)  # a fine picture tells nothing of these
+    arrivals.drawn(4.0, 0.1 * LEAST_PAUSE, hasty=False, there=0)  # a fine picture tells nothing of these
     assert arrivals.pixels == HASTY_PIXELS

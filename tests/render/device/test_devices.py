@@ -14,7 +14,7 @@ import pytest
 
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.devices.opengl import SPARE_QUERIES, OpenGLDevice
-from pointsplat_addon.render.device.protocol import DeviceError, Limits, layout_groups
+from pointsplat_addon.render.device.protocol import DRAW_NOTHING, LET_GO, DeviceError, Limits, layout_groups, let_go
 from pointsplat_addon.shading import sources
 from pointsplat_addon.shading.interface import Block, Interface
 from pointsplat_addon.shading.sources import ShaderError
@@ -134,6 +134,37 @@ def test_release_gives_memory_back_and_may_be_called_twice():
     # Ten devices that left their textures behind would hold 200 MiB more.
     grown = (resident_pages() - before) * os.sysconf("SC_PAGE_SIZE")
     assert grown < 40 * 2**20  # measured 3 MiB
+
+
+def test_what_was_released_is_let_go_by_the_driver():
+    """Of 64 MiB that the last dispatch has read, and of as many that the last draw has read, nothing is left."""
+    device = OpenGLDevice()
+    if "llvmpipe" not in device.limits.renderer or not Path("/proc/self/statm").exists():
+        pytest.skip("its textures are not in this process's memory")
+
+    def resident() -> int:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") >> 20
+
+    def read(interface: Interface, **more) -> None:
+        image = device.texture((4096, 1024), "RGBA32F", np.ones(2**24, np.float32))
+        if interface.compute:
+            device.dispatch(interface, 1, textures={"ps_texel": image}, **more)
+        else:
+            device.draw(interface, more["target"], textures={"ps_texel": image})
+        image.release()
+
+    let_go(device)  # compiled
+    cell, pixel = device.texture((1, 1), "R32UI"), device.texture((1, 1), "R32F")
+    target = device.target([pixel])
+    before = resident()
+    read(LET_GO, images={"cell": cell})
+    read(DRAW_NOTHING, target=target)
+    device.finish()
+    alive = device.bytes_allocated()
+    let_go(device)
+    assert device.bytes_allocated() == alive
+    assert resident() - before < 16  # MiB; without it 64 to 128
+    device.release()
 
 
 def broken(tmp_path: Path, fragment: str, **names: str) -> Interface:

@@ -158,8 +158,6 @@ class LightingUploads:
                 return draw(casters)
             finally:
                 casters.release()
-                if casters.alone:
-                    scope.kept.forget_streamed()
 
         device = scope.device
         return scope.lookup(key, lambda: on_disk.lookup(key, make, depths_form(device), device.limits.driver))

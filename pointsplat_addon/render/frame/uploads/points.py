@@ -8,6 +8,7 @@ from ....core.scene.scene import Scene
 from ...cache.keys import Key, Kind
 from ...device.packing import PAGE_WIDTH
 from ...device.protocol import Texture
+from ...passes.gbuffer import Variant
 from ...passes.pages.point_page import Page, PageDraw, blocks, instance_rows, with_origin
 from ...passes.uniforms import Values
 from ...plan.plan import Plan
@@ -22,8 +23,13 @@ OWN_PAGE = 4 << 20  # splats: larger sets get a page of their own, so that small
 class PointUploads:
     """The opaque points of one frame: `draws` of splats, and `balls` that are wide on the screen."""
 
-    def __init__(self, scope: UploadScope, scene: Scene, prepared: Prepared, plan: Plan) -> None:
+    def __init__(
+        self, scope: UploadScope, scene: Scene, prepared: Prepared, plan: Plan, partly: Variant | None = None
+    ) -> None:
+        """`partly`: the variant of pages with splats of which a fraction is covered; None: that of the plan."""
         self._scope, self._scene, self._plan = scope, scene, plan
+        self._of_partly = plan.variant if partly is None else partly
+        self.partly: set[Key] = set()  # keys of pages with such splats
         self._transform: Values = {}  # of the only instance, as uniforms
         self.instances: dict[str, Texture] = {}  # the transforms of several instances, by sampler name
         self.draws: list[PageDraw] = []
@@ -83,11 +89,19 @@ class PointUploads:
     def _page(self, group: dict[int, PointSet]) -> Page:
         plan, table = self._plan, self._scene.materials
         sets = list({points.key: points for points in group.values()}.values())
-        filled = constants_key(self._scene) if plan.variant.color or plan.variant.emission else b""
-        small = plan.sub_samples > 0
-        other = (plan.variant, plan.options.shading_normal, plan.options.velocity, filled, small)
+        partly = any(map(_is_partly_covered, sets))
+        variant = self._of_partly if partly else plan.variant
+        filled = constants_key(self._scene) if variant.color or variant.emission else b""
+        small, nodes = plan.sub_samples > 0, sets[0].shape is not None
+        other = (variant, plan.options.shading_normal, plan.options.velocity, filled, small, nodes)
         key = Key(Kind.PAGE, tuple(p.key for p in sets), other=other)
-        return self._scope.lookup(key, lambda: Page(self._scope.device, sets, plan.variant, plan.options, table, small))
+        if partly:
+            self.partly.add(key)
+        return self._scope.lookup(key, lambda: Page(self._scope.device, sets, variant, plan.options, table, small))
+
+
+def _is_partly_covered(points: PointSet) -> bool:
+    return points.cloud.share is not None and points.shape is None
 
 
 def _only_instance(layer: Layer, group: dict[int, PointSet], page: Page) -> int:
@@ -101,16 +115,18 @@ def _only_instance(layer: Layer, group: dict[int, PointSet], page: Page) -> int:
 
 def _page_groups(point_sets: dict[int, PointSet], texture_size: int) -> list[dict[int, PointSet]]:
     """Groups point sets by page, each by geometry row: large ones alone, small ones together as far as a page holds
-    them."""
+    them, those of which a fraction is covered apart from others."""
     limit = PAGE_WIDTH * texture_size
     pages: list[dict[int, PointSet]] = []
-    small: dict[int, PointSet] = {}
+    small: dict[bool, dict[int, PointSet]] = {}
     for row, points in point_sets.items():
         if len(points) >= OWN_PAGE:
             pages.append({row: points})
             continue
-        if sum(len(p) for p in small.values()) + len(points) > limit:
-            pages.append(small)
-            small = {}
-        small[row] = points
-    return [*pages, small] if small else pages
+        partly = _is_partly_covered(points)
+        group = small.setdefault(partly, {})
+        if sum(len(p) for p in group.values()) + len(points) > limit:
+            pages.append(group)
+            small[partly] = group = {}
+        group[row] = points
+    return [*pages, *small.values()]

@@ -18,7 +18,7 @@ from ....core.strand.selection import select
 from ...cache.device_cache import DeviceCache
 from ...cache.keys import Key, Kind
 from ...cache.store import Store
-from ...device.protocol import Device, Target, Texture
+from ...device.protocol import Device, Target, Texture, let_go
 from ...passes.pages.point_page import PointOptions
 from ...passes.shadow.keep_depths import keep_depths
 from ...passes.strands.strand_ids import cover_depths
@@ -62,10 +62,10 @@ class CasterUploads:
             options=_options(plan.options, self.prepared),
         )
         # Nodes of scans read by pages cast as balls: no picture draws the same, and none casts colours.
-        self.alone = any(geometry.node_shape is not None for geometry in self.scene.geometries)
-        bare = replace(plan.variant, color=False, surface=False, emission=False) if self.alone else plan.variant
+        self._alone = any(geometry.node_shape is not None for geometry in self.scene.geometries)
+        bare = replace(plan.variant, color=False, surface=False, emission=False) if self._alone else None
         try:
-            self.points = PointUploads(self._scope, self.scene, self.prepared, replace(self.plan, variant=bare))
+            self.points = PointUploads(self._scope, self.scene, self.prepared, self.plan, bare)
             self.polygons = PolygonUploads(self._scope, store, self.scene, self.prepared, self.plan, whole_scene=scene)
         except Exception:
             self.release()
@@ -142,6 +142,9 @@ class CasterUploads:
     def release(self) -> None:
         self._of_block.release()
         self._scope.release()
+        if self._alone:  # before what is drawn is uploaded: both may not fit
+            self._scope.kept.forget(self.points.partly)
+            let_go(self._scope.device)
 
 
 def draw_maps(device: Device, maps: ShadowMaps, casters: CasterUploads, of_scene: Texture | None = None) -> Texture:

@@ -92,8 +92,9 @@ class Page(SplatPage):
         self.partly = any(cloud.share is not None for cloud in clouds)  # a fraction of some splats is covered
         # Of a page without extents; else -1.
         self.ball_material = _ball_material(sets) if small and not self.nodes else -1
-        # (R, 2, 3): boxes around rows of splats, where one set fills more than one; see splat_page.row_bounds.
-        self.bounds = row_bounds(clouds[0]) if len(sets) == 1 and not self.nodes and self.count > PAGE_WIDTH else None
+        # Boxes around rows of splats, (R, 2, 3), and their largest radii, (R,), where one set fills more than one row.
+        several = len(sets) == 1 and self.count > PAGE_WIDTH
+        self.bounds, self.widest = row_bounds(clouds[0], sets[0].shape) if several else (None, None)
         if self.nodes:
             self.upload("position", "RGBA32F", [node_position(points) for points in sets])
             self.upload("extent", "RGBA32F", [node_extent(points) for points in sets])

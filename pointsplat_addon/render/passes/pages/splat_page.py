@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ....core.lod.balls.covered import WIDER
 from ....core.lod.node_splats import points_and_nodes
 from ....core.numeric.vectors import basis, each_block
 from ....core.scene.cloud import PointCloud
@@ -17,6 +18,7 @@ from ...prepare.point_sets import PointSet
 ROWS_AT_ONCE = 8  # of a page whose bounds are measured: what they need stays in the processor's cache
 COVERED = 0.75  # added to a material row for what is not covered of a splat, whose fraction it tells
 NODE = 0.25  # tells nodes from points beside a material row, which is whole
+DIAGONAL = 0, 3, 5  # of the shape of a node: the squares of what it reaches along each axis
 SMALLEST_NORMAL = 1e-6  # of shading: what is shorter has no direction
 Write = Callable[[np.ndarray, slice], None]  # an attribute of the splats in a slice, into an array (n, channels)
 
@@ -130,23 +132,34 @@ def extent(cloud: PointCloud, always_axis: bool = False, points: int | None = No
     return write
 
 
-def row_bounds(cloud: PointCloud) -> np.ndarray:
-    """Returns (R, 2, 3) float32: low and high corner of a box around the splats of each row of a page's textures,
-    relative to the cloud's origin."""
+def row_bounds(cloud: PointCloud, shape: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Returns (R, 2, 3) float32, low and high corner of a box around the splats of each row of a page's textures,
+    relative to the cloud's origin, and (R,) float32, the largest radius of one of them.
+
+    shape: (N, 8) float32 of nodes over balls, see BallTree, which count as wide as they may be drawn; None: they are
+    none."""
     rows = -(-len(cloud) // PAGE_WIDTH)
-    found = np.empty((rows, 2, 3), np.float32)
+    boxes, widest = np.empty((rows, 2, 3), np.float32), np.zeros(rows, np.float32)
     radii = cloud.radii
 
     def measure(block: slice) -> None:
         splats = slice(block.start * PAGE_WIDTH, min(block.stop * PAGE_WIDTH, len(cloud)))
         starts = np.arange(0, splats.stop - splats.start, PAGE_WIDTH)
+        squares = 0.0
         reach = 0.0 if radii is None else radii[splats].max(axis=1) if radii.shape[1] > 1 else radii[splats, 0]
         for channel, column in enumerate(cloud.position[splats].T):
-            found[block, 0, channel] = np.minimum.reduceat(column - reach, starts)
-            found[block, 1, channel] = np.maximum.reduceat(column + reach, starts)
+            if shape is not None:
+                square = WIDER * shape[splats, DIAGONAL[channel]]
+                squares, reach = squares + square, np.sqrt(square)
+            boxes[block, 0, channel] = np.minimum.reduceat(column - reach, starts)
+            boxes[block, 1, channel] = np.maximum.reduceat(column + reach, starts)
+        if shape is not None:  # no half-axis is longer than the root of the sum of their squares
+            widest[block] = np.sqrt(np.maximum.reduceat(squares, starts))
+        elif radii is not None:
+            widest[block] = np.maximum.reduceat(reach, starts)
 
     each_block(rows, measure, ROWS_AT_ONCE)
-    return found
+    return boxes, widest
 
 
 def filled(cloud: PointCloud, name: str, constants: np.ndarray) -> np.ndarray:

@@ -219,10 +219,14 @@ class SplatDepths:
     def _listed(self, draw: PageDraw, view: SampleView, shared: dict[str, Texture]) -> int:
         """Lists the splats of a page that cover many cells, and returns how many there are."""
         program = cover_program(self._kind(draw), "LIST")
+        # The side of a square of so many cells, in pixels, without the cells at its ends.
+        wide = (MOST_CELLS**0.5 - 2) / np.hypot(self._depths.lattice.p, self._depths.lattice.q)
+        if not splats_in_picture(draw, view, wide):
+            return 0
         self._device.fill(self._list)
         self._device.fill(self._length)
         images = {"list": self._list, "list_length": self._length}
-        self._dispatch(program, draw, view, self._textures(draw, shared), images)
+        self._dispatch(program, draw, view, self._textures(draw, shared), images, wide)
         return (int(self._device.read(self._length)[0, 0]) + 1) & 0xFFFFFFFF
 
     def _dispatch(
@@ -232,8 +236,10 @@ class SplatDepths:
         view: SampleView,
         textures: dict[str, Texture],
         images: dict[str, Texture],
+        wide: float = 0.0,
     ) -> None:
-        for first, last in splats_in_picture(draw, view):
+        """Runs a program over the splats of a page that a view shows. `wide`: see splats_in_picture."""
+        for first, last in splats_in_picture(draw, view, wide):
             record = self._record(program, draw, view, first_splat=first, splats=last)
             groups = -(-(last - first) // program.local_size)
             self._device.dispatch(program, groups, uniforms=record, textures=textures, images=images)
