@@ -28,6 +28,22 @@ def irradiance(moments: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return np.maximum(mean + second[:, None] * _tint(moments[:, :3]), 0.0)
 
 
+def irradiance_of_relief(
+    moments: np.ndarray, normal: np.ndarray, plane: np.ndarray, returned: np.ndarray
+) -> np.ndarray:
+    """Returns irradiance over pi, (N, 3), of surfaces with unit normals (N, 3) in relief on planes with unit normals
+    (N, 3), as that of balls which lie over each other, where the moments before it are (N, 24).
+
+    `returned` (N, 3): irradiance over pi of the planes' backs there, of what the relief itself sends. The mean of normals
+    over a relief, by area, is that of its plane over how much more area it has: by vector irradiance of what comes from
+    before the plane it receives on average what falls on the plane, whatever hides what from what. A surface that is
+    turned by t from the plane sees 1 - cos t of the relief on average, twice what it would if nothing else rose above it.
+    """
+    cosine = np.clip((normal * plane).sum(axis=1, keepdims=True), 0.0, 1.0)
+    vector = np.einsum("na,nac->nc", normal, moments[:, 3:12].reshape(-1, 3, 3)) / np.pi
+    return np.maximum(vector + cosine * returned, 0.0) + (1 - cosine) * returned
+
+
 def lobes(moments: np.ndarray, direction: np.ndarray, sharpness: np.ndarray) -> np.ndarray:
     """Returns the mean radiance of surfaces over spherical Gaussians, so sharp (N,), around unit directions (N, 3), and
     the share of the sky that is open there, (N, 4)."""
