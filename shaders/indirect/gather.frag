@@ -395,8 +395,9 @@ void main()
 #endif
         opened += above ? 1 : 0;
         // What only stands for surfaces near it, as on thin pipes, would rise above the planes of others beside it.
+        // But where the other hemisphere is gathered as well, the horizon cuts some, each of which lights either by its part.
 #ifdef PS_EVERY_SIDE
-        const bool rough = false;  // the other hemisphere sees the rest of it
+        const bool rough = false;
 #else
         bool rough = node.first == -1 && (node.bits & (PS_IS_SCATTERED | PS_IS_ROUND)) == 0;
 #endif

@@ -18,7 +18,8 @@ KNUD_THOMSEN = 1.6075  # exponent
 WIDE = 4.0  # radii of balls, as wide as cells are at least
 FEWEST = 8  # balls of a sheet
 DENSE = 1.0  # over the area of a sheet, that of the pictures of its balls at least
-THIN = 0.3  # the least over the middle variance of the middles of its balls, at most
+THIN = 0.5  # the least over the middle variance of the middles of its balls, at most, were these many
+BY_CHANCE = 1.5  # balls: a few in space are as flat by chance, the less the more there are, by the root of their number
 RISES = 2.0  # standard deviations of these from their plane, by which balls may rise above it
 SKEWED = 0.2 * np.array([0.36, 0.48, 0.8])  # what is added to the way outwards, which is none in the middle
 COUNT, WHOLE, MIDDLE, PRODUCTS, LOOK = 0, 1, slice(2, 5), slice(5, 11), slice(11, 17)
@@ -155,7 +156,8 @@ def _planes(of: np.ndarray, each: float) -> _Planes:
     few = count / np.sqrt(np.maximum((count - 1) * (count - 2), 1))
     patch = EVEN * few * np.sqrt(values[:, 1] * values[:, 2])
     dense = whole / np.maximum(patch, 1e-12 * whole)
-    flat = several & (values[:, 0] < THIN * values[:, 1]) & (dense > DENSE)
+    thin = THIN * (1 - np.sqrt(BY_CHANCE / np.maximum(count, FEWEST)))
+    flat = several & (values[:, 0] < thin * values[:, 1]) & (dense > DENSE)
     # Knud Thomsen's approximation to the surface of an ellipsoid, of which a quarter is its mean picture (Cauchy).
     squared = whole / (np.pi * each * count)  # radius
     axes = values + 0.25 * squared[:, None]
@@ -179,9 +181,9 @@ def _inwards(place: np.ndarray, normal: np.ndarray, area: np.ndarray) -> np.ndar
 def returned_share(dense: np.ndarray, spread: np.ndarray) -> np.ndarray:
     """Returns how much of the light that sheets send on falls on their own balls again, (N,), 0 to 1.
 
-    dense (N,): balls over each other. spread (N,): standard deviation of their middles from the sheet's plane, in radii.
-    What is seen of balls from before has more area than the plane, and as much light leaves it as if the rest of its
-    light stayed: this is exact on average, whatever the light, where all of it is seen from before.
+    dense (N,): balls over each other. spread (N,): standard deviation of their middles from the sheet's plane, in
+    radii. What is seen of balls from before has A times the area of the plane. What it sends evenly leaves through the
+    plane: 1 / A of it, and the rest falls on it again.
     """
     levels, table = _returned_table()
     at = [

@@ -33,8 +33,8 @@ class Surfels:
     captured: np.ndarray | None = None
     # (N,) float32: how far above it, on both sides, light falls on what it stands for; None: on itself
     raised: np.ndarray | None = None
-    # (N,) float32: share of the light that it sends on which falls on what it stands for again, in hollows between balls;
-    # None: of none
+    # (N,) float32: share of the light that it sends on which falls on what it stands for again, in hollows between
+    # balls; None: of none
     returned: np.ndarray | None = None
     fine: np.ndarray | None = None  # (N,) bool: it stands for triangles smaller than it, near it; None: none does
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ....core.indirect.around import LightAt
-from ....core.indirect.moments import MOMENTS, irradiance, irradiance_of_relief, lobes
+from ....core.indirect.moments import in_relief, irradiance, lobes, of_planes
 from ....core.indirect.sites import Sites, hashed, quantised_directions, scrambled
 from ...device.packing import paged
 from ...device.protocol import Device, Target, Texture
@@ -29,7 +29,7 @@ from .scattered import WIDER, Scattered, scattered_cells
 
 FEWEST_IN_TILE = 3  # groups of a surface in a square, from which on it has a receiver there beside that of the largest
 FEWEST_SHARE = 16  # a surface has a receiver in wider squares if it fills one in so many pixels; tilted ones fill few
-FEWEST_OF_BALLS = 1  # of these: the deeper they are seen between each other, the fewer show one normal, and the darker they are
+FEWEST_OF_BALLS = 1  # the same of balls: the deeper they are seen between others, the fewer groups show one normal
 RIM = 0.4  # cosine to the eye below which what mirrors gathers, as that changes fast there
 SHARPER = 3.0  # than which a lobe is that does; wider ones, as of grass, change as slowly as what falls on a surface
 MIRRORS, ROUGHNESSES = 48, 64  # steps of mirrored views, each way of an octahedron, and of roughness
@@ -103,10 +103,8 @@ class GroupsInIndirectLight:
             up[:, 3] = np.where(is_fibre(up[:, 3]), MATTE_FIBRE, -1)  # nothing is mirrored
         eye = view.world_from_view[:3, 3] - self._light.origin
         to_eye = directions_to_eye(view, place[:, :3])
-        pixels = entries[:, 0].astype(np.int64)
-        groups = Groups(
-            eye, place[:, :3] + eye, up[:, :3], place[:, 3], pixels, balls if balls.any() else None
-        )  # fmt: skip
+        pixel = entries[:, 0].astype(np.int64)
+        groups = Groups(eye, place[:, :3] + eye, up[:, :3], place[:, 3], pixel, balls if balls.any() else None)
         if mirrors is None or not mirrors.trace(groups, up[:, 3]):
             self._receive(view, lists, listed, groups, place, up, to_eye)
             return lists.received
@@ -284,11 +282,8 @@ class GroupsInIndirectLight:
         )
         position, normal = groups.position[rows], groups.normal[rows].astype(np.float64)
         if (plane := scattered.plane) is not None:
-            part = np.linalg.norm(plane, axis=1, keepdims=True)
-            returned = part * irradiance(moments, -plane / np.maximum(part, 1e-9))
-            moments = np.column_stack([moments, part, plane, returned])
+            moments = np.column_stack([moments, of_planes(moments, plane)])
         moments = scattered.between(position, wanted.level[some] + WIDER, moments)
-        part, plane, returned = moments[:, MOMENTS:][:, :1], moments[:, MOMENTS + 1 :][:, :3], moments[:, MOMENTS + 4 :]
         eye, roughness, fibre = to_eye[rows].astype(np.float64), up[rows, 3], is_fibre(up[rows, 3])
         smooth = (roughness >= 0) | (fibre & (roughness > MATTE_FIBRE))
         sharpness = lobe_sharpness(np.where(fibre, -2 - roughness, roughness)[smooth])
@@ -299,13 +294,9 @@ class GroupsInIndirectLight:
             turned = np.where(fibre[:, None], (1 - across * across) ** 0.5, 1.0) * normal + across * beside
             mirror = 2 * (turned * eye).sum(axis=1, keepdims=True) * turned - eye
             found[:, :3] += weight * irradiance(moments, turned)
-        if scattered.plane is not None:
-            relief = np.flatnonzero(part[:, 0] > 0)
-            own, back = part[relief], returned[relief] / part[relief]
-            of_plane = plane[relief] / np.maximum(np.linalg.norm(plane[relief], axis=1, keepdims=True), 1e-9)
-            falls = irradiance_of_relief(moments[relief], normal[relief], of_plane, back)
-            found[relief, :3] += own * (falls - found[relief, :3])
             found[smooth, 4:] += weight * lobes(moments[smooth], mirror[smooth], sharpness)
+        if scattered.plane is not None:
+            found[:, :3] = in_relief(found[:, :3], moments, normal)
         light.remember(LightAt(position, normal, wanted.level[some], found, smooth & ~fibre))
         return found
 

@@ -169,13 +169,11 @@ def directions_to_eye(view: SampleView, place: np.ndarray) -> np.ndarray:
     return -place / np.maximum(np.linalg.norm(place, axis=1, keepdims=True), 1e-30)
 
 
-def choose_receivers(
-    groups: Groups, view: SampleView, side: int, fewest: int | np.ndarray, every: bool
-) -> Receivers:
+def choose_receivers(groups: Groups, view: SampleView, side: int, fewest: int | np.ndarray, every: bool) -> Receivers:
     """Chooses receivers among groups.
 
-    `side`: of a tile, in pixels. `fewest`: groups that a receiver stands for, one number or (N,); `every`: where no tile
-    around has one, one is chosen for fewer.
+    `side`: of a tile, in pixels. `fewest`: groups that a receiver stands for, one number or (N,); `every`: where no
+    tile around has one, one is chosen for fewer.
     """
     width, height = view.size
     there = np.flatnonzero(groups.depth != 0)

@@ -92,8 +92,9 @@ def _planes(
     rows: np.ndarray,
     edge: np.ndarray,
 ) -> np.ndarray:
-    """(n, 3): `plane` of Scattered for the cells `rows` (n,) of K, where places are (n, 3) and normals (n, 3) on average.
-    Of receivers, at places (R, 3): which are of balls, (R,) bool, and in which cells, (R,). `edge` (K,): of cells."""
+    """(n, 3): `plane` of Scattered for the cells `rows` (n,) of K, in which places and normals are `mean` and `up`,
+    (n, 3) each. Of receivers, at `position` (R, 3): which are of balls, (R,) bool, and which cells are their own, (R,).
+    `edge` (K,): of cells."""
     length = np.linalg.norm(up, axis=1)
     axis, middle = np.zeros((2, len(edge), 3))
     axis[rows], middle[rows] = up / np.maximum(length, 1e-9)[:, None], mean
