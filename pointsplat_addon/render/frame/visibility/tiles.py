@@ -11,8 +11,8 @@ from ...passes.uniforms import SampleView
 # Of a tile, with 16 bytes each and about as much for its groups: 17 sub-samples of 290 x 290 pixels, and of 1280 x 720.
 FEWEST_CELLS, MOST_CELLS = 1 << 21, 28_000_000
 # Of a picture that is shown while it is drawn, and that of a scan too large for memory: 17 sub-samples of 410 x 410
-# pixels. Of the first a lattice of few comes first, of which tiles of many have about as many cells; of the second tiles
-# draw only the rows of nodes that they show.
+# pixels. Of the first a lattice of few comes first, of which tiles of many have about as many cells; of the second
+# tiles draw only the rows of nodes that they show.
 FEW_CELLS = 1 << 22
 IN_INSTANCE = 4  # primitives that take as much memory as the transforms of an instance
 
