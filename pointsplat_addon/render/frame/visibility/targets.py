@@ -55,9 +55,11 @@ class VisibilityTargets:
     @property
     def translucent(self) -> LayerTargets:
         """What translucent splats are blended in, made where it is first asked for."""
-        if self._translucent is None:
-            self._translucent = self._own(LayerTargets(self._device, self._plan, self.size_of_tile))
-        return self._translucent
+        made = self._translucent
+        if made is None:
+            self._translucent = made = LayerTargets(self._device, self._plan, self.size_of_tile)
+            self._own(made)
+        return made
 
     def lists(self, size: tuple[int, int]) -> _Lists:
         """Returns the attributes and the shading of groups, for a list of this size; those of before where they fit."""
