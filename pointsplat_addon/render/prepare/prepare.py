@@ -374,6 +374,14 @@ def _sort_by_focus(view: View, focus: FocusSorter, drawn: _DrawnPrimitives) -> N
             kind.set_of_instance[where[~inside]] = -1
             if not inside.any():
                 del kind.sets[key]
+    # Samples of translucent meshes, whose triangles are small, are as many for a wide blur as for none.
+    for key, points in drawn.translucent.sets.items():
+        where = np.flatnonzero(drawn.translucent.set_of_instance == key)
+        middle, far, _ = set_ball(points, view.store)
+        if points.cloud.opacity is not None and points.cloud.span is None:
+            _, outside = focus.in_and_out_of_focus(where, middle, far)
+            if outside.any():
+                drawn.translucent.sets[key] = with_hierarchy_for_defocus(view, points, always=False)
     kept = [np.empty(0, np.int64)]
     for row in np.unique(geometry_of[drawn.polygons]).tolist():
         where, measured = drawn.polygons[geometry_of[drawn.polygons] == row], measured_mesh(view, geometries[row])

@@ -507,6 +507,18 @@ def test_panes_far_out_of_focus_take_few_splats():
     assert 0 < few < 0.05 * many  # measured 0.033
 
 
+def test_dense_translucent_meshes_far_out_of_focus_take_few_splats():
+    """Whose triangles are smaller than samples a pixel apart: nodes stand for these."""
+    table = materials(1, alpha=[0.4], translucent=np.array([True]))
+    scene = build.scene((mesh(meshes.sphere_mesh("dense glass", 120)), moved()), table=table, lights=(), world=BLACK)
+    counts = []
+    for aperture in (Aperture(0.4, 1.2), Aperture(0.02, 3.0)):
+        frame = Frame(drawing.opengl(), scene, asked(Case(scene, camera(), SPLAT), aperture, 1))
+        counts.append(frame.frame_plan.splats)
+        frame.release()
+    assert 0 < counts[0] < 0.01 * counts[1]  # measured 134 and 29,040
+
+
 # The world
 
 

@@ -64,24 +64,29 @@ def test_pictures_are_those_of_all_splats(eye, monkeypatch):
     """To the bit, of fewer splats: half to seven tenths of them."""
     scene = build.scene((build.points("in picture", scan()), np.diag([1.0, 1.2, 0.8, 1.0])), lights=[build.sun()])
     case = Case(scene, eye, Settings(technique="VISIBILITY", use_shadows=False))
-    drawn = []
+    drawn, _ = looked_at(case, monkeypatch)
+    assert max(drawn) < 0.75 * COUNT  # measured 0.51 to 0.71
+
+
+def looked_at(case: Case, monkeypatch) -> tuple[list[int], list[int]]:
+    """How many splats were drawn each time, and how many nodes looked at for wide ones. The picture is that of all."""
+    drawn: list[int] = []
+    looked: list[int] = []
 
     def counted(draw, view, wide=0.0):
         runs = in_picture.splats_in_picture(draw, view, wide)
         drawn.append(sum(last - first for first, last in runs))
+        if wide > 0 and draw.page.nodes:
+            looked.append(drawn[-1])
         return runs
 
     monkeypatch.setattr(splat_ids, "splats_in_picture", counted)
     few = render(case, frozenset({"combined"}), 16).pixels["combined"]
-    monkeypatch.setattr(splat_ids, "splats_in_picture", all_splats)
+    monkeypatch.setattr(splat_ids, "splats_in_picture", lambda draw, view, wide=0.0: [(0, draw.elements)])
     whole = render(case, frozenset({"combined"}), 16).pixels["combined"]
     assert few[..., :3].max() > 0
     assert np.array_equal(few, whole)
-    assert max(drawn) < 0.75 * COUNT  # measured 0.51 to 0.71
-
-
-def all_splats(draw, view, wide=0.0):
-    return [(0, draw.elements)]
+    return drawn, looked
 
 
 def nodes() -> Geometry:
@@ -105,20 +110,7 @@ def test_pictures_are_those_of_all_nodes(eye, monkeypatch):
     """To the bit, those of which are drawn that a view shows, and those looked at for wide ones that may be wide."""
     scene = build.scene((nodes(), np.diag([1.0, 1.2, 0.8, 1.0])), lights=[build.sun()])
     case = Case(scene, eye, Settings(technique="VISIBILITY"))  # with shadows: nodes cast as balls
-    looked: list[int] = []
-
-    def counted(draw, view, wide=0.0):
-        runs = in_picture.splats_in_picture(draw, view, wide)
-        if wide > 0 and draw.page.nodes:
-            looked.append(sum(last - first for first, last in runs))
-        return runs
-
-    monkeypatch.setattr(splat_ids, "splats_in_picture", counted)
-    few = render(case, frozenset({"combined"}), 16).pixels["combined"]
-    monkeypatch.setattr(splat_ids, "splats_in_picture", all_splats)
-    whole = render(case, frozenset({"combined"}), 16).pixels["combined"]
-    assert few[..., :3].max() > 0
-    assert np.array_equal(few, whole)
+    _, looked = looked_at(case, monkeypatch)
     assert max(looked) < 0.9 * COUNT / 4
 
 

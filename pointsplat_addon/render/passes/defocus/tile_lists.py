@@ -43,8 +43,11 @@ class Planes:
 def tile_lists(
     centre: np.ndarray, shape: np.ndarray, focal: np.ndarray, size: tuple[int, int], planes: Planes | None = None
 ) -> TileLists:
-    """Of splats (N, 4) each, as the pass `light` left them; focal: fx, fy, cx, cy; size: of the picture in pixels.
-    `planes`: those that light passes are ordered by their depths in the middle of each tile, not in their own."""
+    """Returns which splats each tile shows, the nearest first.
+
+    centre, shape: (N, 4) each, as the pass `light` left them. focal: fx, fy, cx, cy. size: of the picture in pixels.
+    `planes`: those that light passes are ordered by their depths in the middle of each tile, not in their own.
+    """
     # Columns one by one: reducing rows of four takes several times as long.
     x, y, depth, peak = np.ascontiguousarray(centre.T)
     xx, xy, yy, code = np.ascontiguousarray(shape.T)
