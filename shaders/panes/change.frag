@@ -1,6 +1,7 @@
 // What panes change in each cell: their light, less what they hide of what is opaque. ps_numbers, PS_PLACES: as in
 // layer.frag. PS_BEHIND: what open sub-samples show. Among translucent splats, what these send and hide, too.
-// PS_CENTRED: what is seen in the end, and less what is opaque.
+// PS_CENTRED: what of it is opaque, hidden; what is seen in the end with these splats and without them, and how much they let
+// through.
 
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/groups.glsl"
@@ -12,6 +13,8 @@ void main()
   out_change = vec4(0.0);
 #ifdef PS_CENTRED
   out_seen = vec4(0.0);
+  out_bare = vec4(0.0);
+  out_left = 1.0;
 #endif
   vec3 hidden = texelFetch(ps_hidden, cell, 0).rgb;
   bool inside = all(greaterThanEqual(pixel, ivec2(0))) && all(lessThan(pixel, u.size));
@@ -31,8 +34,15 @@ void main()
     shown = open ? texelFetch(ps_behind, pixel, 0) : shown;
 #endif
     vec3 light = texelFetch(ps_light, cell, 0).rgb;
+#ifdef PS_CENTRED
+    out_bare = vec4(texelFetch(ps_bare, cell, 0).rgb + (1.0 - hidden) * shown.rgb,
+                    shown.w + (1.0 - shown.w) * dot(hidden, vec3(1.0 / 3.0)));
+#endif
 #ifdef PS_AMONG_SPLATS
     PsBefore before = ps_before(cell, pixel, open ? ivec2(0) : ps_group_texel(entry), open);
+#ifdef PS_CENTRED
+    out_left = 1.0 - before.hidden.g;
+#endif
     light += (1.0 - hidden) * before.light;
     hidden += (1.0 - hidden) * before.hidden;
 #endif

@@ -4,6 +4,8 @@
 // The light L(d) of translucent splats up to a depth d counts by what the panes behind d hide: in the end, each part of it has passed
 // the panes before it alone.
 
+// PS_CENTRED: the light without these splats, too.
+
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/groups.glsl"
 #include "lib/translucent/before.glsl"
@@ -17,6 +19,9 @@ void main()
   out_light = texelFetch(ps_light, cell, 0);
   out_hidden = texelFetch(ps_hidden, cell, 0);
   out_following = 0u;
+#ifdef PS_CENTRED
+  out_bare = texelFetch(ps_bare, cell, 0);
+#endif
   uint depth = texelFetch(ps_depths, cell, 0).x;
   bool inside = all(greaterThanEqual(pixel, ivec2(0))) && all(lessThan(pixel, u.size));
   if (inside && depth != PS_OPEN_CELL) {
@@ -32,12 +37,15 @@ void main()
       seen *= 1.0 - before.hidden;
 #endif
 #ifdef PS_TRANSMITTED
-      out_light.rgb += seen * through.w * through.rgb;
-      left *= (1.0 - through.w) * through.rgb;
+      vec3 own = through.w * through.rgb, passes = (1.0 - through.w) * through.rgb;
 #else
-      out_light.rgb += seen * through.w * texelFetch(ps_combined, entry, 0).rgb;
-      left *= through.rgb;
+      vec3 own = through.w * texelFetch(ps_combined, entry, 0).rgb, passes = through.rgb;
 #endif
+      out_light.rgb += seen * own;
+#ifdef PS_CENTRED
+      out_bare.rgb += left * own;
+#endif
+      left *= passes;
 #ifdef PS_AMONG_SPLATS
       out_light.rgb += (1.0 - out_hidden.rgb - left) * before.light;
 #endif

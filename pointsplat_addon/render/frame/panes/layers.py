@@ -18,6 +18,7 @@ from ...passes.translucent.blend import COARSE
 from ...passes.translucent.cells import number_texels
 from ...passes.translucent.lit_splats import LitSplats
 from ...passes.translucent.pane_layers import (
+    BARE,
     COMPOSE,
     FILTER,
     STATE,
@@ -83,10 +84,12 @@ class Panes:
             self._splats = owned.add(SplatsBeforePanes(device, plan, lit, self._buffer, run))
         self._centred = self._splats is not None and self._splats.centred
         self._groups = owned.add(Groups(device, self._buffer))
-        self._states = [{name: owned.texture(cells, format) for name, format in STATE.items()} for _ in range(2)]
+        held = STATE | (BARE if self._centred else {})
+        self._states = [{name: owned.texture(cells, format) for name, format in held.items()} for _ in range(2)]
         self._state_targets = [owned.target(*state.values()) for state in self._states]
-        names = ("ps_light", "ps_hidden") if self._centred else ("ps_light",)
-        self._change_targets = [owned.target(*(state[name] for name in names)) for state in self._states]
+        self._left = [owned.texture(cells, "R32F")] if self._centred else []
+        written = ("ps_light", "ps_hidden", "ps_bare") if self._centred else ("ps_light",)
+        self._change_targets = [owned.target(*(of[name] for name in written), *self._left) for of in self._states]
         self._numbers = owned.filled(number_texels(lattice), "R32F")
         self._members = owned.filled(member_texels(lattice, np.arange(lattice.count)), "RGBA32F")
 
@@ -232,11 +235,10 @@ class Panes:
         program = change_program(targets.behind is not None, targets.groups.places is not None, found)
         state, other = self._states[last], self._states[1 - last]
         textures = {**_listed(targets.groups), **behind, **shown, "ps_numbers": self._numbers}
-        textures |= {name: state[name] for name in ("ps_light", "ps_hidden")}
+        textures |= {name: state[name] for name in ("ps_light", "ps_hidden", *(BARE if self._centred else ()))}
         record = view.record(COMPOSE, **self._buffer.values)
         device.draw(program, self._change_targets[1 - last], uniforms=record, textures=textures)
         rows = weight_rows(weights, np.arange(lattice.count))
-        centred = texture_of(device, self._splats.tiles, "R32F") if self._splats is not None and self._centred else None
         with_rows = texture_of(device, rows, "R32F")
         try:
             record = view.record(
@@ -244,20 +246,12 @@ class Panes:
                 neighbours=len(rows), **self._buffer.values,
             )  # fmt: skip
             bound = {"ps_change": other["ps_light"], "ps_members": self._members, "ps_weights": with_rows}
-            if centred is not None:
-                bound |= {"ps_seen": other["ps_hidden"], "ps_centred": centred}
-            device.draw(
-                filter_program(lattice, found.centred),
-                self._sums,
-                uniforms=record,
-                textures=bound,
-                vertices=6,
-                blend=True,
-            )
+            if self._centred:
+                bound |= {"ps_seen": other["ps_hidden"], "ps_bare": other["ps_bare"], "ps_left": self._left[0]}
+            program = filter_program(lattice, self._centred)
+            device.draw(program, self._sums, uniforms=record, textures=bound, vertices=6, blend=True)
         finally:
             with_rows.release()
-            if centred is not None:
-                centred.release()
 
     def release(self) -> None:
         self._owned.release()

@@ -9,9 +9,10 @@ what is narrower than a pixel is widened, its mass kept; only where such a splat
 at it one by one, as they do where no panes are. Where the light that passes is coloured, optical depths are added up,
 channel by channel.
 
-Captured splats have the pixel filter in them, and are looked at in pixels' centres alone. Where panes are among them, a
-pixel shows its own sub-samples, all alike, in place of those that the pixel filter takes in: what the splats hide of
-each of these and what they send would otherwise be filtered twice. Elsewhere they are blended as without panes.
+Captured splats have the pixel filter in them, and are looked at in pixels' centres alone. Near panes a pixel shows the
+mean S of its own sub-samples among them, since what they send and hide would otherwise be filtered twice. Without them
+its own sub-samples show B, and those that the pixel filter takes in F: as far as splats let through what is opaque, the
+pixel gains F - B, so that edges that are seen between them are filtered. Elsewhere they are blended as without panes.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class Found:
     narrow: bool  # in some they are looked at in each sub-sample
     wide: bool  # in some once for each group
     tint: bool  # what they hide differs between the channels
-    centred: bool = False  # some are captured: a pixel of these tiles shows its own sub-samples, all alike
+    centred: bool = False  # some are captured, which have the pixel filter in them
 
     def samplers(self, open_too: bool) -> tuple[str, ...]:
         """Names of the textures of floats that are read; `open_too`: of what is open, too."""

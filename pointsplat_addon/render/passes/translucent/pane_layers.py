@@ -11,7 +11,6 @@ from __future__ import annotations
 from ....core.numeric.lattice import Lattice
 from ....shading.interface import Interface
 from ..shading.terms import TRANSMISSION, Term
-from ..tiles import TILE_DEFINE
 from ..uniforms import CAMERA_FIELDS, RECTANGLE_FIELDS, block
 from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS
 from .before_panes import NOTHING, Found
@@ -26,6 +25,8 @@ CODES = (("UINT_2D", "ps_first"), ("UINT_2D", "ps_second"))
 # Of each cell: radiance and the share of light that is hidden so far, of each channel, and the least depth of the next
 # layer, its bits inverted; 0: there is none.
 STATE = {"ps_light": "RGBA32F", "ps_hidden": "RGBA32F", "ps_following": "R32UI"}
+CENTRED = ("vec4", "out_seen"), ("vec4", "out_bare"), ("float", "out_left")  # beside what changes
+BARE = {"ps_bare": "RGBA32F"}  # among captured splats, the radiance without these
 
 
 def _listed(places: bool) -> tuple[tuple[str, str], ...]:
@@ -44,14 +45,17 @@ def compose_program(places: bool, term: Term | None = None, splats: Found = NOTH
         "ps_numbers",
         *(() if transmitted else ("ps_combined",)),
         "ps_through",
+        *(("ps_bare",) if splats.centred else ()),
         *splats.samplers(False),
     )
     return Interface(
         "compose", fragment="panes/layer.frag", block=COMPOSE,
         samplers=(*CODES, ("UINT_2D", "ps_depths"),
                   *(("FLOAT_2D", name) for name in (*read, *(("ps_places",) if places else ())))),
-        outputs=(("vec4", "out_light"), ("vec4", "out_hidden"), ("uint", "out_following")),
-        defines=(*_listed(places), *((("PS_TRANSMITTED", "1"),) if transmitted else ()), *splats.defines(False)),
+        outputs=(("vec4", "out_light"), ("vec4", "out_hidden"), ("uint", "out_following"),
+                 *((("vec4", "out_bare"),) if splats.centred else ())),
+        defines=(*_listed(places), *((("PS_TRANSMITTED", "1"),) if transmitted else ()), *splats.defines(False),
+                 *((("PS_CENTRED", "1"),) if splats.centred else ())),
     )  # fmt: skip
 
 
@@ -61,11 +65,11 @@ def change_program(behind: bool, places: bool, splats: Found = NOTHING) -> Inter
     """
     read = ("ps_light", "ps_hidden", "ps_starts", "ps_numbers", "ps_combined")
     read += (*(("ps_behind",) if behind else ()), *(("ps_places",) if places else ()))
-    read += splats.samplers(True)
+    read += (*(("ps_bare",) if splats.centred else ()), *splats.samplers(True))
     return Interface(
         "change", fragment="panes/change.frag", block=COMPOSE,
         samplers=(*CODES, *(("FLOAT_2D", name) for name in read)),
-        outputs=(("vec4", "out_change"), *((("vec4", "out_seen"),) if splats.centred else ())),
+        outputs=(("vec4", "out_change"), *(CENTRED if splats.centred else ())),
         defines=(*_listed(places), *((("PS_BEHIND", "1"),) if behind else ()), *splats.defines(True),
                  *((("PS_CENTRED", "1"),) if splats.centred else ())),
     )  # fmt: skip
@@ -73,13 +77,11 @@ def change_program(behind: bool, places: bool, splats: Found = NOTHING) -> Inter
 
 def filter_program(lattice: Lattice, centred: bool = False) -> Interface:
     """Returns the program that adds the changes in the cells of pixels and of their neighbours to the sums, by the
-    weights of the pixel filter. `centred`: in some tiles, what pixels show of their own sub-samples alone."""
+    weights of the pixel filter. `centred`: among captured splats, which have it in them."""
+    read = ("ps_change", "ps_members", "ps_weights", *(("ps_seen", "ps_bare", "ps_left") if centred else ()))
     return Interface(
         "filter panes", vertex="common/rectangle.vert", fragment="panes/filter.frag", block=FILTER,
-        samplers=tuple(
-            ("FLOAT_2D", name)
-            for name in ("ps_change", "ps_members", "ps_weights", *(("ps_seen", "ps_centred") if centred else ()))
-        ),
+        samplers=tuple(("FLOAT_2D", name) for name in read),
         outputs=(("vec4", "out_combined"),),
-        defines=(LATTICE_DEFINE, *((TILE_DEFINE, ("PS_CENTRED", "1")) if centred else ())),
+        defines=(LATTICE_DEFINE, *((("PS_CENTRED", "1"),) if centred else ())),
     )  # fmt: skip
