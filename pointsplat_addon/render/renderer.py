@@ -100,6 +100,8 @@ class Renderer:
                 progress(frame.done / request.samples, f"Sample {frame.done}/{request.samples}")
                 if not frame.complete:
                     frame.clock.check()
+            if frame.frame_plan.streamed is not None:
+                frame.keep_shown()  # pages stay, and passes are copied several times until they are in a file
             pixels = frame.pixels()
             if request.moment[1] > 1 and known is None:
                 self._keep_light(scene, frame)

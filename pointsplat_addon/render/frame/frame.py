@@ -139,7 +139,7 @@ class Frame:
         count = levels(frame_plan.prepared.largest, frame_plan.view.resolution)
         primitives = frame_plan.splats + frame_plan.triangles + frame_plan.segments
         primitives += IN_INSTANCE * len(frame_plan.scene.instances)
-        most_cells = cells_of_tile(primitives, plan.presented or frame_plan.streamed is not None)
+        most_cells = cells_of_tile(primitives, plan.presented, frame_plan.streamed is not None)
         wanted = plan, request.passes, frame_plan.view.window[2:], count, most_cells
         self.renderer.pool.make_room(*wanted)
         self._give_back()

@@ -50,7 +50,7 @@ def renderer() -> Renderer:
 
 def in_tiles(monkeypatch) -> None:
     """Pictures are divided into tiles of at most 2^14 cells."""
-    monkeypatch.setattr(frame_module, "cells_of_tile", lambda primitives, few: 1 << 14)
+    monkeypatch.setattr(frame_module, "cells_of_tile", lambda primitives, shown, streamed: 1 << 14)
 
 
 @IN_LATTICES

@@ -63,7 +63,7 @@ def test_tiles_show_what_the_whole_picture_shows(name, monkeypatch):
     whole = render(case, samples=20).pixels
     opengl().pool.release()
     monkeypatch.setattr(tiles, "MOST_CELLS", 12_000)
-    assert len(tiles.picture_tiles(case.camera.window[2:], MANY, 16384, tiles.cells_of_tile(1, False), 1)) > 1
+    assert len(tiles.picture_tiles(case.camera.window[2:], MANY, 16384, tiles.cells_of_tile(1, False, False), 1)) > 1
     divided = render(case, samples=20).pixels
     opengl().pool.release()
     for key, array in whole.items():

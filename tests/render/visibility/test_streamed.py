@@ -90,11 +90,11 @@ def test_all_pages_show_what_the_same_points_in_memory_do(tmp_path: Path) -> Non
 def test_a_final_picture_has_small_tiles_and_is_the_same_in_one(tmp_path: Path, monkeypatch, tolerance: float) -> None:
     """Small ones take less memory beside what is drawn, of which each draws what it shows."""
     _, scene = paged(tmp_path)
-    asked: list[tuple[int, bool]] = []
+    asked: list[tuple[bool, bool]] = []
 
     def in_tiles(cells: int):
-        def made(primitives: int, few: bool) -> int:
-            asked.append((primitives, few))
+        def made(primitives: int, shown: bool, streamed: bool) -> int:
+            asked.append((shown, streamed))
             return cells
 
         return made
@@ -103,9 +103,9 @@ def test_a_final_picture_has_small_tiles_and_is_the_same_in_one(tmp_path: Path, 
     divided = render(scene, tolerance, use_shadows=False).pixels["combined"]
     monkeypatch.setattr(frame_module, "cells_of_tile", in_tiles(1 << 22))
     whole = render(scene, tolerance, use_shadows=False).pixels["combined"]
-    assert len(asked) == 2
-    assert all(few for _, few in asked)
-    assert cells_of_tile(10_000_000, True) < cells_of_tile(10_000_000, False)
+    assert asked == [(False, True)] * 2
+    few, shown, many = (cells_of_tile(10_000_000, *asked) for asked in ((False, True), (True, True), (False, False)))
+    assert few < shown < many
     assert np.abs(divided - whole).max() < 1e-3  # measured 5.7e-4, at rims of balls, whose normals rounding turns
 
 

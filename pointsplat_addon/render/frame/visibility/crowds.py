@@ -97,7 +97,7 @@ def _not_hidden(
     those that may be seen. others: (n,) int, polygons that are not of the crowd, which hide it too."""
     device, of_plan, samples = resources.device, plan.plan, plan.request.samples
     lattice, reach = lattice_of(of_plan.sub_samples), filter_reach(of_plan.filter_size)
-    most = cells_of_tile(plan.splats + plan.triangles, of_plan.presented)
+    most = cells_of_tile(plan.splats + plan.triangles, of_plan.presented, plan.streamed is not None)
     tiles = picture_tiles(plan.view.window[2:], lattice, device.limits.texture_size, most, reach)
     offsets = lattice_offsets(samples, lattice) if samples > 1 else np.zeros((1, 2))
     seen = np.zeros(len(crowd.row), bool)

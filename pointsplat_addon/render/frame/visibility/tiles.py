@@ -10,10 +10,9 @@ from ...passes.uniforms import SampleView
 
 # Of a tile, with 16 bytes each and about as much for its groups: 17 sub-samples of 290 x 290 pixels, and of 1280 x 720.
 FEWEST_CELLS, MOST_CELLS = 1 << 21, 28_000_000
-# Of a picture that is shown while it is drawn, and that of a scan too large for memory: 17 sub-samples of 410 x 410
-# pixels. Of the first a lattice of few comes first, of which tiles of many have about as many cells; of the second
-# tiles draw only the rows of nodes that they show.
-FEW_CELLS = 1 << 22
+# Of a picture that is shown while it is drawn: 17 sub-samples of 410 x 410 pixels. A lattice of few comes first, of
+# which tiles of many have about as many cells.
+SHOWN_CELLS = 1 << 22
 IN_INSTANCE = 4  # primitives that take as much memory as the transforms of an instance
 
 
@@ -45,12 +44,13 @@ def tiles_of_part(tiles: list[PictureTile], part: tuple[int, int]) -> list[Pictu
     return tiles[len(tiles) * index // count : len(tiles) * (index + 1) // count]
 
 
-def cells_of_tile(primitives: int, few: bool) -> int:
+def cells_of_tile(primitives: int, shown: bool, streamed: bool) -> int:
     """Returns how many cells a tile has at most, where so many primitives are drawn for each tile: two for a primitive,
-    so that cells take about as much memory as what is drawn, and few primitives are drawn several times. `few`: the
-    picture is shown while it is drawn, and another one of the same view follows, or it shows a scan read by pages."""
-    if few:
-        return FEW_CELLS
+    so that cells take about as much memory as what is drawn, and few primitives are drawn several times. `shown`: while
+    it is drawn, and another one of the same view follows. `streamed`: a scan is read by pages, which have most of the
+    memory that there is, and of whose nodes each tile draws those that it shows."""
+    if shown or streamed:
+        return SHOWN_CELLS if shown else FEWEST_CELLS
     wanted = 1 << (2 * primitives - 1).bit_length()  # a power of two: targets then fit the next picture, too
     return min(max(wanted, FEWEST_CELLS), MOST_CELLS)
 
