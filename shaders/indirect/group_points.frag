@@ -1,7 +1,7 @@
 // Where the groups of a list are, and how they are turned, in the space of the light tree: one texel a group.
 //   out_place: position; depth in the view, 0: no group
 //   out_up: normal of the side that is seen; roughness, -1 where nothing is mirrored; of fibres, whose normal is that of their middle,
-//     -2 less the roughness, and -4
+//     -2 less the roughness, and -4; of balls PS_OF_BALLS more
 //   out_ray: PS_MIRRORS: where the eye is mirrored to; how far what the group stands for bulges above its plane
 
 #include "lib/geometry/camera.glsl"
@@ -12,6 +12,8 @@
 #include "lib/geometry/geometry.glsl"
 #include "lib/geometry/coverage.glsl"
 #include "lib/visibility/listed.glsl"
+
+#define PS_OF_BALLS 8.0
 
 void main()
 {
@@ -46,7 +48,8 @@ void main()
 #endif
   roughness = ps_is_strand(centre) ? (mirrors ? -2.0 - roughness : -4.0) : mirrors ? roughness : -1.0;
   out_place = vec4(mat3(u.tree_from_view) * position, centre.x);
-  out_up = vec4(mat3(u.tree_from_view) * normal, roughness);
+  bool is_ball = centre.w <= PS_POLYGON && !ps_is_strand(centre) && centre.z <= 0.5 * PS_BALL;
+  out_up = vec4(mat3(u.tree_from_view) * normal, roughness + (is_ball ? PS_OF_BALLS : 0.0));
 #ifdef PS_MIRRORS
   bool bends = centre.w <= PS_POLYGON && centre.z > 0.5;
   vec3 plane = bends ? ps_unpack_normal(centre.z - 1.0) : vec3(0.0);

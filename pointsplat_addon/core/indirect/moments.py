@@ -28,6 +28,42 @@ def irradiance(moments: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return np.maximum(mean + second[:, None] * _tint(moments[:, :3]), 0.0)
 
 
+def irradiance_of_relief(
+    moments: np.ndarray, normal: np.ndarray, plane: np.ndarray, returned: np.ndarray
+) -> np.ndarray:
+    """Returns irradiance over pi, (N, 3), of surfaces with unit normals (N, 3) in relief on planes with unit normals
+    (N, 3), as that of balls which lie over each other, where moments before it are (N, 24).
+
+    `returned` (N, 3): irradiance over pi of the planes' backs there, of what the relief itself sends. The sum of area
+    times normal of a relief is that of its plane: by vector irradiance of what comes from before the plane it receives
+    on average what falls on the plane, whatever hides what from what. A surface that is turned by t from the plane sees
+    1 - cos t of the relief on average, twice as much as if nothing else rose above it.
+    """
+    cosine = np.clip((normal * plane).sum(axis=1, keepdims=True), 0.0, 1.0)
+    vector = np.einsum("na,nac->nc", normal, moments[:, 3:12].reshape(-1, 3, 3)) / np.pi
+    return np.maximum(vector + cosine * returned, 0.0) + (1 - cosine) * returned
+
+
+def of_planes(moments: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    """Returns what `in_relief` reads beside moments (N, 24), (N, 7); it may be interpolated as these are.
+
+    plane (N, 3): normals of planes, as long as much of what is there is relief on these.
+    """
+    part = np.linalg.norm(plane, axis=1, keepdims=True)
+    return np.column_stack([part, plane, part * irradiance(moments, -plane / np.maximum(part, 1e-9))])
+
+
+def in_relief(falls: np.ndarray, moments: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Returns irradiance over pi, (N, 3), where it is `falls` as far as there is no relief: moments (N, 31), the last
+    seven by `of_planes`; unit normals (N, 3)."""
+    found, rows = falls.copy(), np.flatnonzero(moments[:, MOMENTS] > 0)
+    part, plane, returned = np.split(moments[rows, MOMENTS:], (1, 4), axis=1)
+    plane = plane / np.maximum(np.linalg.norm(plane, axis=1, keepdims=True), 1e-9)
+    of_relief = irradiance_of_relief(moments[rows], normal[rows], plane, returned / part)
+    found[rows] += part * (of_relief - found[rows])
+    return found
+
+
 def lobes(moments: np.ndarray, direction: np.ndarray, sharpness: np.ndarray) -> np.ndarray:
     """Returns the mean radiance of surfaces over spherical Gaussians, so sharp (N,), around unit directions (N, 3), and
     the share of the sky that is open there, (N, 4)."""

@@ -6,6 +6,8 @@ beside it and hide the sky from them, and would be as bright before as behind.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from ..numeric.record import record
@@ -16,7 +18,8 @@ KNUD_THOMSEN = 1.6075  # exponent
 WIDE = 4.0  # radii of balls, as wide as cells are at least
 FEWEST = 8  # balls of a sheet
 DENSE = 1.0  # over the area of a sheet, that of the pictures of its balls at least
-THIN = 0.3  # the least over the middle variance of the middles of its balls, at most
+THIN = 0.5  # the least over the middle variance of the middles of its balls, at most, were these many
+BY_CHANCE = 1.5  # balls: a few in space are as flat by chance, the less the more there are, by the root of their number
 RISES = 2.0  # standard deviations of these from their plane, by which balls may rise above it
 SKEWED = 0.2 * np.array([0.36, 0.48, 0.8])  # what is added to the way outwards, which is none in the middle
 COUNT, WHOLE, MIDDLE, PRODUCTS, LOOK = 0, 1, slice(2, 5), slice(5, 11), slice(11, 17)
@@ -33,6 +36,7 @@ class Sheets:
     area: np.ndarray  # (N,) float64: what is hidden by one side
     look: np.ndarray  # (N, 6) float64: mean albedo and emission of the balls
     height: np.ndarray  # (N,) float64: how far these rise above it, on both sides
+    returned: np.ndarray  # (N,) float64: as of `returned_share`
     key: np.ndarray  # (C,) uint64, rising: of all cells
     share: np.ndarray  # (C,) float64: as of `shares`
 
@@ -51,6 +55,7 @@ class _Planes:
     normal: np.ndarray  # (C, 3) float64, unit
     area: np.ndarray  # (C,) float64: how much is hidden there
     height: np.ndarray  # (C,) float64: how far balls rise above it
+    returned: np.ndarray  # (C,) float64: as of `returned_share`
     flat: np.ndarray  # (C,) bool: all lies on it, and hides most of it
     share: np.ndarray  # (C,) float64: how much of the balls fills their picture, where they are not flat; 1 at most
 
@@ -78,7 +83,10 @@ def sheets(position: np.ndarray, area: np.ndarray, look: np.ndarray, apart: np.n
     part = of[WHOLE] / np.maximum(whole[WHOLE][own], 1e-300)
     normal = np.where(lent[:, None], by_wider.normal[own], planes.normal)
     hidden = np.where(lent, by_wider.area[own] * part, planes.area)
-    height = np.where(lent, by_wider.height[own], planes.height)
+    height, returned = (
+        np.where(lent, wide[own], narrow)
+        for wide, narrow in ((by_wider.height, planes.height), (by_wider.returned, planes.returned))
+    )
     in_sheet = planes.flat | lent
     found = np.flatnonzero(in_sheet)
     means = of[:, found] / of[WHOLE][found]
@@ -89,8 +97,9 @@ def sheets(position: np.ndarray, area: np.ndarray, look: np.ndarray, apart: np.n
     normal = np.where((normal * guide).sum(axis=1, keepdims=True) < 0, -normal, normal)
     normal = np.where(_inwards(place, guide, hidden)[:, None], -normal, normal)
     order = np.argsort(key)
+    share = np.where(in_sheet, 0.0, planes.share)
     return Sheets(
-        place, normal, hidden, means[LOOK].T, height[found], key[order], np.where(in_sheet, 0.0, planes.share)[order]
+        place, normal, hidden, means[LOOK].T, height[found], returned[found], key[order], share[order]
     )  # fmt: skip
 
 
@@ -147,15 +156,19 @@ def _planes(of: np.ndarray, each: float) -> _Planes:
     few = count / np.sqrt(np.maximum((count - 1) * (count - 2), 1))
     patch = EVEN * few * np.sqrt(values[:, 1] * values[:, 2])
     dense = whole / np.maximum(patch, 1e-12 * whole)
-    flat = several & (values[:, 0] < THIN * values[:, 1]) & (dense > DENSE)
+    thin = THIN * (1 - np.sqrt(BY_CHANCE / np.maximum(count, FEWEST)))
+    flat = several & (values[:, 0] < thin * values[:, 1]) & (dense > DENSE)
     # Knud Thomsen's approximation to the surface of an ellipsoid, of which a quarter is its mean picture (Cauchy).
     squared = whole / (np.pi * each * count)  # radius
     axes = values + 0.25 * squared[:, None]
     faces = [np.sqrt(axes[:, k] * axes[:, (k + 1) % 3]) for k in range(3)]
     picture = EVEN * (sum(face**KNUD_THOMSEN for face in faces) / 3) ** (1 / KNUD_THOMSEN)
     share = np.where(several, np.minimum(picture / whole, 1.0), 1.0)
-    height = np.sqrt(squared) + RISES * np.sqrt(values[:, 0])
-    return _Planes(vectors[:, :, 0], patch * -np.expm1(-dense), height, flat, share)
+    radius, spread_across = np.sqrt(squared), np.sqrt(values[:, 0])
+    returned = returned_share(dense, spread_across / radius)
+    return _Planes(
+        vectors[:, :, 0], patch * -np.expm1(-dense), radius + RISES * spread_across, returned, flat, share
+    )  # fmt: skip
 
 
 def _inwards(place: np.ndarray, normal: np.ndarray, area: np.ndarray) -> np.ndarray:
@@ -163,3 +176,40 @@ def _inwards(place: np.ndarray, normal: np.ndarray, area: np.ndarray) -> np.ndar
     away = place - (place * area[:, None]).sum(axis=0) / max(float(area.sum()), 1e-300)
     away /= max(float(np.sqrt((away**2).sum(axis=1)).max(initial=0)), 1e-300)
     return (normal * (away + SKEWED)).sum(axis=1) < 0
+
+
+def returned_share(dense: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """Returns how much of the light that sheets send on falls on their own balls again, (N,), 0 to 1.
+
+    dense (N,): balls over each other. spread (N,): standard deviation of their middles from the sheet's plane, in
+    radii. What is seen of balls from before has A times the area of the plane. What it sends evenly leaves through the
+    plane: 1 / A of it, and the rest falls on it again.
+    """
+    levels, table = _returned_table()
+    at = [
+        np.interp(of, level, np.arange(len(level)))
+        for of, level in zip((np.log(np.maximum(dense, 1e-30)), spread), levels, strict=True)
+    ]
+    low = [np.minimum(of.astype(np.int64), len(level) - 2) for of, level in zip(at, levels, strict=True)]
+    (i, j), (x, y) = low, (of - first for of, first in zip(at, low, strict=True))
+    return (1 - x) * ((1 - y) * table[i, j] + y * table[i, j + 1]) + x * (
+        (1 - y) * table[i + 1, j] + y * table[i + 1, j + 1]
+    )
+
+
+@lru_cache(1)
+def _returned_table() -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Logarithms of `dense` and spreads, (n,) and (m,), and the share for each, (n, m): of balls whose middles lie at
+    random, at heights with a normal distribution."""
+    dense, spread = np.linspace(0.0, np.log(100.0), 24), np.linspace(0.0, 2.0, 17)
+    heights, of_heights = np.polynomial.hermite_e.hermegauss(16)
+    of_heights /= of_heights.sum()
+    above, steps = np.polynomial.legendre.leggauss(12)
+    above, steps = 0.5 * (above + 1), 0.5 * steps  # of a ball's surface over its middle, and over its radius the cosine
+    middle = spread[:, None] * heights
+    # A place is open where no ball's surface lies above it.
+    higher = np.clip(middle[:, :, None, None] + above[:, None] - middle[:, None, None, :], 0.0, 1.0)
+    hiding = ((1 - higher**2) * of_heights).sum(axis=3)
+    weight = of_heights[:, None] * steps * np.exp(-np.exp(dense)[:, None, None, None] * hiding)
+    flat, whole = ((weight * of).sum(axis=(2, 3)) for of in (above, 1.0))
+    return (dense, spread), 1 - flat / whole

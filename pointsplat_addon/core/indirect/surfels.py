@@ -8,6 +8,7 @@ import numpy as np
 
 from ..numeric.record import record
 
+OF_SOME = {"captured": bool, "raised": np.float32, "returned": np.float32, "fine": bool}  # arrays that may be None
 ARRAYS = "position", "normal", "area", "closed", "scattered", "albedo", "emission", "edge", "half"
 
 
@@ -32,6 +33,9 @@ class Surfels:
     captured: np.ndarray | None = None
     # (N,) float32: how far above it, on both sides, light falls on what it stands for; None: on itself
     raised: np.ndarray | None = None
+    # (N,) float32: share of the light that it sends on which falls on what it stands for again, in hollows between
+    # balls; None: of none
+    returned: np.ndarray | None = None
     fine: np.ndarray | None = None  # (N,) bool: it stands for triangles smaller than it, near it; None: none does
 
     def __len__(self) -> int:
@@ -39,9 +43,9 @@ class Surfels:
 
     def take(self, rows: np.ndarray) -> Surfels:
         """Returns the surfels `rows`, in their order."""
-        captured, raised, fine = (None if of is None else of[rows] for of in (self.captured, self.raised, self.fine))
-        arrays = (getattr(self, name)[rows] for name in ARRAYS)
-        return Surfels(self.origin, *arrays, captured=captured, raised=raised, fine=fine)
+        held = {name: getattr(self, name) for name in OF_SOME}
+        some = {name: None if of is None else of[rows] for name, of in held.items()}
+        return Surfels(self.origin, *(getattr(self, name)[rows] for name in ARRAYS), **some)
 
     @property
     def hairs(self) -> np.ndarray:
@@ -59,8 +63,7 @@ class Surfels:
 def joined(parts: Sequence[Surfels]) -> Surfels:
     """Returns all surfels of at least one part; they have one origin."""
     arrays = (np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS)
-    captured, raised = _joined(parts, "captured", bool), _joined(parts, "raised", np.float32)
-    return Surfels(parts[0].origin, *arrays, captured=captured, raised=raised, fine=_joined(parts, "fine", bool))
+    return Surfels(parts[0].origin, *arrays, **{name: _joined(parts, name, of) for name, of in OF_SOME.items()})
 
 
 def _joined(parts: Sequence[Surfels], name: str, dtype: type) -> np.ndarray | None:

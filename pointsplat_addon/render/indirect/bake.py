@@ -145,13 +145,13 @@ class Baker:
         lit = direct if bounces > 1 else Leaving(np.zeros_like(direct.surfels), np.zeros_like(direct.media))
         yield
         found = yield from self._gathered(at, shines + lit, 1.0)
-        total = shines + direct + self._scattered(receivers, found)
+        sends = self._scattered(receivers, found, shines + lit)
+        total = shines + direct + sends
         # All further light is even, and gathered at fewer.
         fewer = bounce_receivers(at, MOST_BOUNCE_RECEIVERS // FEWER, lit_apart[receivers.rows])
         some, gain, now = at.take(fewer.rows), found, np.zeros(3)
         falls = [found.surfels[..., :3]]
         for number in range(1, bounces):
-            sends = self._scattered(receivers, gain)
             if number == bounces - 1:
                 sends = self._not_ahead(sends, at, found, shines, lit)
             of_media = (_share(*(of.media[None, :, k : k + 1] for of in (sends, total))) for k in range(3))
@@ -164,7 +164,8 @@ class Baker:
                 break
             gathered = yield from self._gathered(some, sends, 0.0)
             gain = Received(fewer.spread(gathered.surfels), gathered.media)
-            total = total + self._scattered(receivers, gain)
+            sends = self._scattered(receivers, gain, sends)
+            total = total + sends
             falls.append(gain.surfels[..., :3])
         baked = yield from self._finished(total)
         apart = np.bincount(receivers.others[0], lit_ones.area, len(receivers.rows)) ** 0.5
@@ -175,18 +176,25 @@ class Baker:
         """(C, 3): what cells of media emit."""
         return np.zeros((0, 3), np.float32) if self._media is None else self._media.emission
 
-    def _scattered(self, receivers: BounceReceivers, found: Received) -> Leaving:
-        """What is sent on of light that falls on receivers."""
+    def _scattered(self, receivers: BounceReceivers, found: Received, sent: Leaving) -> Leaving:
+        """What is sent on of light that falls on receivers, and of what has been `sent` by surfels and falls on them
+        again."""
         media = self._media
         spread, rows = receivers.spread(found.surfels[..., :3]), self._receiving
         if len(rows) < len(self._surfels):
             falls = np.zeros((2, len(self._surfels), 3), np.float32)
             falls[:, rows] = spread
             spread = falls
-        of_surfels = self._surfels.albedo * spread
+        of_surfels = self._surfels.albedo * self._with_returned(spread, sent.surfels)
         if media is None:
             return Leaving(of_surfels, self._shining)
         return Leaving(of_surfels, media.scattering * media.in_cells(media.on_blocks(found.media[:, :3])))
+
+    def _with_returned(self, falls: np.ndarray, sent: np.ndarray | float) -> np.ndarray:
+        """(2, N, 3): what falls on surfels, by what falls on the plane of each, and by what it has sent before."""
+        if (returned := self._surfels.returned) is None:
+            return falls
+        return falls + returned[:, None] * (sent - falls)
 
     def _not_ahead(self, sends: Leaving, at: Surfels, found: Received, shines: Leaving, lit: Leaving) -> Leaving:
         """The share that the sky and what shines has in the first bounce; that of lamps is a bounce ahead."""
@@ -233,7 +241,7 @@ class Baker:
                 up = np.ones_like(place)
                 lit += lit_surfels(self._device, self._lamps, lights, place, up, self._textures, True)
             sent[cells] = media.lit[cells] * lit / np.float32(len(parts))
-        return Leaving(surfels.albedo * found, sent)
+        return Leaving(surfels.albedo * self._with_returned(found, 0.0), sent)
 
     def _gathered(self, surfels: Surfels, leaving: Leaving, sky: float) -> Generator[None, None, Received]:
         """What falls on some surfels, and on receivers in media, of what leaves all and of `sky` times the world's

@@ -302,7 +302,7 @@ def _of_sheets(made: Sheets) -> Surfels:
     no, look = np.zeros(count, bool), made.look.astype(f)
     return Surfels(
         np.zeros(3), made.position.astype(f), made.normal.astype(f), made.area.astype(f), no, no, look[:, :3],
-        look[:, 3:], np.zeros((count, 3), f), no, raised=made.height.astype(f),
+        look[:, 3:], np.zeros((count, 3), f), no, raised=made.height.astype(f), returned=made.returned.astype(f),
     )  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.indirect.sheets import Sheets, sheets
+from pointsplat_addon.core.indirect.sheets import Sheets, returned_share, sheets
 
 RADIUS = 0.02
 
@@ -52,7 +52,7 @@ def test_a_sheet_has_the_mean_look_of_its_balls():
 
 def test_balls_that_lie_apart_or_in_space_are_in_no_sheet():
     """Those of a plane that leave most of it open, and most of those that fill a cube, of which as much counts as fills
-    what they show. Of cells with ten, in which they lie at random, 15 % are flat."""
+    what they show. Of cells with ten, in which they lie at random, 17 % are flat."""
     assert len(sheets_of(square(0.2), 0.08).area) == 0
     cube = np.random.default_rng(7).uniform(0, 1, (40_000, 3))
     made = sheets_of(cube, 0.08)
@@ -77,6 +77,45 @@ def test_what_is_no_number_is_in_no_sheet():
     position[::10] = np.nan
     with np.errstate(invalid="ignore"):
         made = sheets_of(position, 0.08)
-    for found in (made.position, made.normal, made.area, made.look, made.height):
+    for found in (made.position, made.normal, made.area, made.look, made.height, made.returned):
         assert np.isfinite(found).all()
     assert abs(made.area.sum() - 1) < 0.07
+
+
+@pytest.mark.parametrize("depth", [2.0, 5.7, 12.0])
+@pytest.mark.parametrize("spread", [0.0, 0.2, 0.5])
+def test_as_much_light_returns_to_balls_as_they_have_more_area_than_their_plane(depth, spread):
+    """What is seen of balls from before, by 20,000 places; the mean of one over the cosine is how much more. Found: off
+    by 0.0045 at most."""
+    place, rng = np.random.default_rng(8).uniform(0.1, 0.9, (20_000, 2)), np.random.default_rng(9)
+    position = square(depth)
+    middle = np.column_stack([position[:, :2] / RADIUS, spread * rng.normal(size=len(position))])
+    place = place / RADIUS
+    cosine = np.full(len(place), -1.0)
+    highest = np.full(len(place), -np.inf)
+    cell = np.floor(place / 2).astype(int)
+    of_ball = np.floor(middle[:, :2] / 2).astype(int)
+    wide = int(0.5 / RADIUS) + 2
+    order = np.argsort(of_ball @ [wide, 1], kind="stable")
+    starts = np.searchsorted((of_ball @ [wide, 1])[order], np.arange(wide * wide + 1))
+    for step in np.ndindex(3, 3):
+        there = (cell + np.array(step) - 1) @ [wide, 1]
+        first, end = starts[there], starts[there + 1]
+        for k in range(int((end - first).max())):
+            ball = middle[order[np.minimum(first + k, len(order) - 1)]]
+            squared = np.square(place - ball[:, :2]).sum(axis=1)
+            rise = np.sqrt(np.maximum(1 - squared, 0))
+            higher = (first + k < end) & (squared < 1) & (ball[:, 2] + rise > highest)
+            highest = np.where(higher, ball[:, 2] + rise, highest)
+            cosine = np.where(higher, rise, cosine)
+    cosine = cosine[cosine > 0]
+    # Few cosines are nearly 0, and their inverses are large.
+    truth = 1 - 1 / np.mean(1 / np.maximum(cosine, 0.01))
+    found = returned_share(np.array([depth]), np.array([spread]))[0]
+    assert abs(found - truth) < 0.008
+
+
+def test_flat_or_deep_sheets_return_less_or_as_much_as_the_deepest_that_are_known():
+    assert returned_share(np.array([1e-9, 1e9]), np.array([0.0, 0.0])).max() < 0.7
+    deep = returned_share(np.array([5.0, 5.0]), np.array([2.0, 9.0]))
+    assert deep[0] == deep[1]

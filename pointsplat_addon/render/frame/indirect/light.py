@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ....core.indirect.around import LightAt
-from ....core.indirect.moments import irradiance, lobes
+from ....core.indirect.moments import in_relief, irradiance, lobes, of_planes
 from ....core.indirect.sites import Sites, hashed, quantised_directions, scrambled
 from ...device.packing import paged
 from ...device.protocol import Device, Target, Texture
@@ -29,10 +29,12 @@ from .scattered import WIDER, Scattered, scattered_cells
 
 FEWEST_IN_TILE = 3  # groups of a surface in a square, from which on it has a receiver there beside that of the largest
 FEWEST_SHARE = 16  # a surface has a receiver in wider squares if it fills one in so many pixels; tilted ones fill few
+FEWEST_OF_BALLS = 1  # the same of balls: the deeper they are seen between others, the fewer groups show one normal
 RIM = 0.4  # cosine to the eye below which what mirrors gathers, as that changes fast there
 SHARPER = 3.0  # than which a lobe is that does; wider ones, as of grass, change as slowly as what falls on a surface
 MIRRORS, ROUGHNESSES = 48, 64  # steps of mirrored views, each way of an octahedron, and of roughness
 NOT_KNOWN = (None, None)
+OF_BALLS = 8.0  # more than the roughness of anything else; shaders/indirect/group_points.frag
 MATTE_FIBRE = -4.0  # in place of the roughness of fibres, which mirror nothing; others have -2 less theirs
 # Places across a fibre, over half its width, and their weights (Gauss and Legendre).
 ACROSS = (0.0, 8 / 18), (0.6**0.5, 5 / 18), (-(0.6**0.5), 5 / 18)
@@ -95,11 +97,14 @@ class GroupsInIndirectLight:
         count = len(entries)
         held = "ps_places", "ps_ups", *(() if mirrors is None else ("rays",))
         place, up, *rays = (device.read(lists.textures[name]).reshape(-1, 4)[:count] for name in held)
+        balls = up[:, 3] > 0.5 * OF_BALLS
+        up[balls, 3] -= OF_BALLS
         if self._light.occlusion:
             up[:, 3] = np.where(is_fibre(up[:, 3]), MATTE_FIBRE, -1)  # nothing is mirrored
         eye = view.world_from_view[:3, 3] - self._light.origin
         to_eye = directions_to_eye(view, place[:, :3])
-        groups = Groups(eye, place[:, :3] + eye, up[:, :3], place[:, 3], entries[:, 0].astype(np.int64))
+        pixel = entries[:, 0].astype(np.int64)
+        groups = Groups(eye, place[:, :3] + eye, up[:, :3], place[:, 3], pixel, balls if balls.any() else None)
         if mirrors is None or not mirrors.trace(groups, up[:, 3]):
             self._receive(view, lists, listed, groups, place, up, to_eye)
             return lists.received
@@ -196,7 +201,10 @@ class GroupsInIndirectLight:
         """Gathers for groups at places with normals (N, 4), as `gather` has them, seen from directions (N, 3).
         `directly`: not by way of mirrors, for which cells may be wider than rooms; only then does what is turned all
         ways in a cell share a gather."""
-        chosen = choose_receivers(groups, view, TILE, FEWEST_IN_TILE, True)
+        fewest: int | np.ndarray = FEWEST_IN_TILE
+        if directly and groups.balls is not None:
+            fewest = np.where(groups.balls, FEWEST_OF_BALLS, FEWEST_IN_TILE)
+        chosen = choose_receivers(groups, view, TILE, fewest, True)
         found = self._found(view, groups, to_eye, up, chosen, directly)
         self._interpolate(view, lists, listed, chosen, found, place, up)
 
@@ -273,6 +281,8 @@ class GroupsInIndirectLight:
             scattered.site, order, lambda some: light.moments(at[some], self._sky), self._slices
         )
         position, normal = groups.position[rows], groups.normal[rows].astype(np.float64)
+        if (plane := scattered.plane) is not None:
+            moments = np.column_stack([moments, of_planes(moments, plane)])
         moments = scattered.between(position, wanted.level[some] + WIDER, moments)
         eye, roughness, fibre = to_eye[rows].astype(np.float64), up[rows, 3], is_fibre(up[rows, 3])
         smooth = (roughness >= 0) | (fibre & (roughness > MATTE_FIBRE))
@@ -285,6 +295,8 @@ class GroupsInIndirectLight:
             mirror = 2 * (turned * eye).sum(axis=1, keepdims=True) * turned - eye
             found[:, :3] += weight * irradiance(moments, turned)
             found[smooth, 4:] += weight * lobes(moments[smooth], mirror[smooth], sharpness)
+        if scattered.plane is not None:
+            found[:, :3] = in_relief(found[:, :3], moments, normal)
         light.remember(LightAt(position, normal, wanted.level[some], found, smooth & ~fibre))
         return found
 

@@ -54,6 +54,7 @@ class Groups:
     normal: np.ndarray  # (N, 3) float32, unit
     depth: np.ndarray  # (N,) float32; 0: there is none
     pixel: np.ndarray  # (N,) int64, row by row
+    balls: np.ndarray | None = None  # (N,) bool: which are of balls; None: none
 
 
 def sites_of(groups: Groups, rows: np.ndarray, level: np.ndarray, view: SampleView, sole: np.ndarray | None) -> Sites:
@@ -168,11 +169,11 @@ def directions_to_eye(view: SampleView, place: np.ndarray) -> np.ndarray:
     return -place / np.maximum(np.linalg.norm(place, axis=1, keepdims=True), 1e-30)
 
 
-def choose_receivers(groups: Groups, view: SampleView, side: int, fewest: int, every: bool) -> Receivers:
+def choose_receivers(groups: Groups, view: SampleView, side: int, fewest: int | np.ndarray, every: bool) -> Receivers:
     """Chooses receivers among groups.
 
-    `side`: of a tile, in pixels. `fewest`: groups that a receiver stands for; `every`: where no tile around has
-    one, one is chosen for fewer.
+    `side`: of a tile, in pixels. `fewest`: groups that a receiver stands for, one number or (N,); `every`: where no
+    tile around has one, one is chosen for fewer.
     """
     width, height = view.size
     there = np.flatnonzero(groups.depth != 0)
@@ -193,7 +194,7 @@ def choose_receivers(groups: Groups, view: SampleView, side: int, fewest: int, e
     of_cell = np.empty(len(order), np.int64)
     of_cell[order] = np.repeat(np.arange(len(first)), number)
     nearest = _nearest(off, order, first, of_cell)
-    enough = number >= fewest
+    enough = number >= (fewest[there[nearest]] if isinstance(fewest, np.ndarray) else fewest)
     if not every:
         _, owner = np.unique(in_cell[nearest], return_inverse=True)
         enough &= number > MAIN * np.bincount(owner, number)[owner]

@@ -15,6 +15,8 @@ FEWEST, WAYS = 6, 5  # receivers in a cell, and ways that these are turned, from
 # thin pipes.
 CROWDED = 2.5
 STEPS = 4  # of places along the edge of a cell at which is gathered
+# Balls in cells are relief of a plane, by how long the mean of their normals is and how far they lie off it, in edges.
+ALIGNED, THIN = (0.5, 0.6), (0.2, 0.1)
 LIFT = 0.25  # edges that these lie above the mean of what is seen: else what is next to it would hide half
 CORNERS = np.stack(np.meshgrid((0, 1), (0, 1), (0, 1), indexing="ij"), axis=-1).reshape(-1, 3)
 
@@ -27,6 +29,9 @@ class Scattered:
     level: np.ndarray  # (C,) float64: binary logarithm of their edges
     site: np.ndarray  # (C,) uint64: keys of the places
     position: np.ndarray  # (C, 3) float64, where light is gathered
+    # (C, 3) float64: normals of planes whose relief balls are that are seen there, as long as much of what is there is
+    # such relief, 1 at most; None: of none
+    plane: np.ndarray | None = None
 
     def hold(self, position: np.ndarray, level: np.ndarray) -> np.ndarray:
         """(N,) bool: whether places (N, 3) lie in some, of levels (N,)."""
@@ -68,8 +73,34 @@ def scattered_cells(groups: Groups, chosen: Receivers, every: bool = False) -> S
         np.stack([np.bincount(own, column, len(unique))[rows] / count[rows] for column in of.T], axis=1)
         for of in (position.astype(np.float64), normal)
     )
+    plane = None
+    if groups.balls is not None and groups.balls.any():
+        plane = _planes(position, groups.balls[chosen.rows], own, mean, up, rows, np.exp2(level[first]))
     level = level[first[rows]]
     edge = np.exp2(level)[:, None]
     up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-3)
     place = np.rint((mean + LIFT * edge * up) / edge * STEPS)
-    return Scattered(unique[rows], level, hashed(np.column_stack([level, place])), place * edge / STEPS)
+    return Scattered(unique[rows], level, hashed(np.column_stack([level, place])), place * edge / STEPS, plane)
+
+
+def _planes(
+    position: np.ndarray,
+    balls: np.ndarray,
+    own: np.ndarray,
+    mean: np.ndarray,
+    up: np.ndarray,
+    rows: np.ndarray,
+    edge: np.ndarray,
+) -> np.ndarray:
+    """(n, 3): `plane` of Scattered for the cells `rows` (n,) of K, in which places and normals are `mean` and `up`,
+    (n, 3) each. Of receivers, at `position` (R, 3): which are of balls, (R,) bool, and which cells are their own, (R,).
+    `edge` (K,): of cells."""
+    length = np.linalg.norm(up, axis=1)
+    axis, middle = np.zeros((2, len(edge), 3))
+    axis[rows], middle[rows] = up / np.maximum(length, 1e-9)[:, None], mean
+    off = ((position - middle[own]) * axis[own]).sum(axis=1) / edge[own]
+    count, of_balls, squared = (np.bincount(own, of, len(edge))[rows] for of in (None, balls, off * off))
+    part = of_balls / count
+    for value, (none, whole) in ((length, ALIGNED), (np.sqrt(squared / count), THIN)):
+        part = part * np.clip((value - none) / (whole - none), 0.0, 1.0)
+    return part[:, None] * axis[rows]
