@@ -395,11 +395,10 @@ void main()
 #endif
         opened += above ? 1 : 0;
         // What only stands for surfaces near it, as on thin pipes, would rise above the planes of others beside it.
-        // But where the other hemisphere is gathered as well, the horizon cuts some, each of which lights either by its part.
-#ifdef PS_EVERY_SIDE
-        const bool rough = false;
-#else
         bool rough = node.first == -1 && (node.bits & (PS_IS_SCATTERED | PS_IS_ROUND)) == 0;
+#ifdef PS_EVERY_SIDE
+        // Of sheets of balls, which the horizon cuts, the other hemisphere, which is gathered as well, sees the rest.
+        rough = rough && (node.bits & PS_IS_ROUGH) != 0;
 #endif
         tilt = rough ? 0.0 : node.radius * sqrt(clamp(1.0 - upright * upright, 0.0, 1.0));
         part = 0;
