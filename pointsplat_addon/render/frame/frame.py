@@ -604,7 +604,7 @@ class Frame:
         return self.frame_plan.cropped(self.device.read(texture))
 
     def keep_shown(self) -> None:
-        """Frees what drawing samples needs most memory for: from then on what is drawn can only be presented."""
+        """Frees what drawing samples needs most memory for: what is drawn can then only be presented or read."""
         visibility = None if self._lent is None else self.targets.visibility
         if visibility is None:
             return

@@ -109,6 +109,27 @@ def test_a_final_picture_has_small_tiles_and_is_the_same_in_one(tmp_path: Path, 
     assert np.abs(divided - whole).max() < 1e-3  # measured 5.7e-4, at rims of balls, whose normals rounding turns
 
 
+def test_sub_samples_are_let_go_before_passes_are_read(tmp_path: Path, monkeypatch) -> None:
+    """Passes are copied several times until they are in a file, beside pages, which stay. Bytes of each sub-sample."""
+    _, scene = paged(tmp_path)
+    held: dict[str, int] = {}
+
+    def noting(name: str):
+        call = getattr(frame_module.Frame, name)
+
+        def noted(self):
+            held[name] = self.device.bytes_allocated()
+            return call(self)
+
+        monkeypatch.setattr(frame_module.Frame, name, noted)
+
+    noting("keep_shown")
+    noting("pixels")
+    render(scene, FINE, use_shadows=False)
+    width, height = CAMERA.window[2:]
+    assert held["keep_shown"] - held["pixels"] >= 16 * 17 * width * height  # of sub-samples; measured 39
+
+
 @pytest.mark.parametrize("tolerance", [1.2, COARSE, 4.0])
 def test_a_picture_reads_the_pages_that_its_tolerance_needs_and_no_others(tmp_path: Path, tolerance: float) -> None:
     source, scene = paged(tmp_path)
