@@ -61,7 +61,6 @@
 // Of the world's picture a cell shows so many parts each way, in the level that is about as blurred as these are wide: blurred as
 // much as a cell is wide, it would bring what lies below the horizon above it.
 #define PS_SKY_PARTS 2
-#define PS_SKY_LEVEL 1
 
 float ps_covered[PS_CELLS * PS_CELLS];  // share of the cell
 float ps_weight[PS_CELLS * PS_CELLS];  // of what covers it: solid angle times cosine
@@ -574,7 +573,7 @@ void main()
         vec3 part = ps_direction_from_cell(vec2(x, y) + within);
         float share = ps_cell_solid_angle(part) * PS_COSINE(part);
         vec3 world = part.x * tangent + part.y * across + part.z * n;
-        sky += share * ps_environment_level(ps_uv_from_direction(ps_image_from_view(world)), PS_SKY_LEVEL);
+        sky += share * ps_environment_level(ps_uv_from_direction(ps_image_from_view(world)), PS_GATHERED_LEVEL);
         of_parts += share;
       }
       sky /= max(of_parts, 1e-30);

@@ -4,7 +4,8 @@ The atlas is (H + 2 TILE[1], max(W, 4 TILE[0]), 4) float32, rows from the bottom
 first texel:
 
     rows 0 .. H             the image itself, (H, W): mirror reflection, and the background
-    tiles of TILE above it  four to a row: radiance prefiltered for each of ROUGHNESS, last the Lambert irradiance / pi
+    tiles of TILE above it  four to a row: radiance prefiltered for each of ROUGHNESS, the Lambert irradiance / pi, and
+                            the mip level of GATHERED texels, of which gathers look at some directions each
 
 Prefiltering assumes n = v = r (Karis 2013, "Real shading in Unreal Engine 4", split sum) and uses filtered
 importance sampling (Křivánek and Colbert 2008, equation 11), which is free of noise.
@@ -23,6 +24,9 @@ NARROWEST = 0.6
 TILE = (128, 64)
 ROUGHNESS = (0.2, 0.4, 0.6, 0.8, 1.0)
 SAMPLES = 64
+# Texels around the horizon, of the level that gathers look at in 16 x 16 directions of a hemisphere. Interpolated, it is
+# as blurred as these are apart, so that small suns lie between none of them, and less beyond that than a GGX lobe.
+GATHERED = 32
 
 
 def uv_from_direction(direction: np.ndarray) -> np.ndarray:
@@ -87,7 +91,8 @@ def build_atlas(image: np.ndarray, mirrored: np.ndarray | None = None, widest: i
         height, width = sharp.shape[:2]
 
     tiles = [_resample(_prefilter(mips, roughness), *TILE) for roughness in ROUGHNESS]
-    tiles.append(_resample(_irradiance(mips if mirrored is None else _levels_of(_finite(image))), *TILE))
+    lights = mips if mirrored is None else _levels_of(_finite(image))
+    tiles += [_resample(_irradiance(lights), *TILE), _resample(lights[-1], *TILE)]
 
     atlas = np.ones((height + 2 * TILE[1], max(width, 4 * TILE[0]), 4), np.float32)
     atlas[:height, :width, :3] = sharp
@@ -111,7 +116,8 @@ def _levels_of(image: np.ndarray) -> list[np.ndarray]:
 
 
 def atlas_level(atlas: np.ndarray, index: int) -> np.ndarray:
-    """View (h, w, 3) of a level: 0 the image, 1 .. len(ROUGHNESS) prefiltered, the next one the irradiance / pi."""
+    """View (h, w, 3) of a level: 0 the image, 1 .. len(ROUGHNESS) prefiltered, the next ones the irradiance / pi and the
+    one of GATHERED."""
     height = len(atlas) - 2 * TILE[1]
     if index == 0:
         return atlas[:height, : int(atlas[0, 0, 3]), :3]
@@ -153,9 +159,9 @@ def _box(image: np.ndarray, count: int) -> np.ndarray:
 
 
 def _mips(image: np.ndarray) -> list[np.ndarray]:
-    """Mip levels of an image down to a width of 32; rows weigh with their solid angle, which keeps the total light."""
+    """Mip levels of an image down to a width of GATHERED; rows weigh with their solid angle, which keeps the total light."""
     levels = [image]
-    while levels[-1].shape[1] > 32:
+    while levels[-1].shape[1] > GATHERED:
         last = levels[-1]
         h = len(last)
         weight = np.cos((np.arange(h) + 0.5) / h * np.pi - np.pi / 2).astype(np.float32)[:, None, None]

@@ -8,6 +8,7 @@
 #define PS_TILE_HEIGHT 64
 #define PS_ROUGH_LEVELS 5
 #define PS_ROUGH_STEP 0.2
+#define PS_GATHERED_LEVEL (PS_ROUGH_LEVELS + 2)
 
 #ifdef PS_HAS_ENVIRONMENT
 
@@ -35,7 +36,7 @@ vec3 ps_equirectangular(sampler2D picture, ivec2 origin, ivec2 size, vec2 uv)
   return mix(low, high, fy);
 }
 
-// Level 0 is the image, 1 .. PS_ROUGH_LEVELS are prefiltered, the next one is the irradiance / pi.
+// Level 0 is the image, 1 .. PS_ROUGH_LEVELS are prefiltered, the next one is the irradiance / pi, and the last one is for gathers.
 vec3 ps_environment_level(vec2 uv, int level)
 {
   int height = textureSize(ps_environment, 0).y - 2 * PS_TILE_HEIGHT;
