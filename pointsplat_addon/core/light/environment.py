@@ -24,8 +24,8 @@ NARROWEST = 0.6
 TILE = (128, 64)
 ROUGHNESS = (0.2, 0.4, 0.6, 0.8, 1.0)
 SAMPLES = 64
-# Texels around the horizon, of the level that gathers look at in 16 x 16 directions of a hemisphere. Interpolated, it is
-# as blurred as these are apart, so that small suns lie between none of them, and less beyond that than a GGX lobe.
+# Texels around the horizon, of the level that gathers look at in 16 x 16 directions of a hemisphere. Interpolated, it
+# is as blurred as these are apart, so that small suns lie between none of them, and less beyond that than a GGX lobe.
 GATHERED = 32
 
 
@@ -116,8 +116,8 @@ def _levels_of(image: np.ndarray) -> list[np.ndarray]:
 
 
 def atlas_level(atlas: np.ndarray, index: int) -> np.ndarray:
-    """View (h, w, 3) of a level: 0 the image, 1 .. len(ROUGHNESS) prefiltered, the next ones the irradiance / pi and the
-    one of GATHERED."""
+    """View (h, w, 3) of a level: 0 the image, 1 .. len(ROUGHNESS) prefiltered, the next ones the irradiance / pi and
+    the one of GATHERED."""
     height = len(atlas) - 2 * TILE[1]
     if index == 0:
         return atlas[:height, : int(atlas[0, 0, 3]), :3]
@@ -159,7 +159,7 @@ def _box(image: np.ndarray, count: int) -> np.ndarray:
 
 
 def _mips(image: np.ndarray) -> list[np.ndarray]:
-    """Mip levels of an image down to a width of GATHERED; rows weigh with their solid angle, which keeps the total light."""
+    """Mip levels of an image down to a width of GATHERED; rows weigh with their solid angle, which keeps all light."""
     levels = [image]
     while levels[-1].shape[1] > GATHERED:
         last = levels[-1]

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pointsplat_addon.core.light.environment import direction_from_uv
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import drawing
@@ -93,8 +94,8 @@ def test_what_lets_light_through_or_scatters_none_has_all_of_the_sky(scatters):
 
 
 def test_the_sky_of_a_picture_ends_at_the_horizon():
-    """A floor under a picture that is 1 above the horizon and 0 below has 1. Found: 0.0075 less; 0.048 less where a
-    cell sees the picture as blurred as it is wide."""
+    """A floor under a picture that is 1 above the horizon and 0 below has 1. Found: 0.0034 less; 0.0075 where gathers
+    look at what lobes of a roughness of 0.2 show, and 0.048 where a cell sees the picture as blurred as it is wide."""
     picture = np.zeros((128, 256, 3), np.float32)
     picture[64:] = 1.0
     table = materials(1, base_color=[[1.0] * 3], specular=[0.0], roughness=[1.0])
@@ -102,7 +103,7 @@ def test_the_sky_of_a_picture_ends_at_the_horizon():
     lit = scene((floor, LAID), lights=(), world=World(np.ones(3), image=picture), table=table)
     found = drawn(Case(lit, camera(EYE, (0, 0, 0.6), (64, 36)), replace(SETTINGS, bounces=0)))
     off = found[:18, :, :3] - 1
-    assert np.abs(off).max() < 0.01
+    assert np.abs(off).max() < 0.005
 
 
 def test_a_thin_pipe_hides_no_sky_from_itself():
@@ -118,3 +119,25 @@ def test_a_thin_pipe_hides_no_sky_from_itself():
     assert inside.sum() > 700
     assert np.sqrt(np.mean(off**2)) < 3e-4
     assert off.min() > -0.003
+
+
+def test_small_suns_of_pictures_light_floors_wherever_they_stand():
+    """A disk of 5 degrees, turned and raised in 12 steps, against its irradiance over pi: RMSE 0.058, worst 0.124. By
+    lobes of a roughness of 0.2 they had 0.131 and 0.246."""
+    rows, columns = np.mgrid[0:128, 0:256]
+    directions = direction_from_uv(np.stack([(columns + 0.5) / 256, (rows + 0.5) / 128], axis=-1))
+    solid = np.cos((rows + 0.5) / 128 * np.pi - np.pi / 2) * 2 * np.pi**2 / rows.size
+    table = materials(1, base_color=[[1.0] * 3], specular=[0.0], roughness=[1.0])
+    off = []
+    for step in range(12):
+        up, turn = np.radians(20 + 6 * step), 2.4 * step
+        toward = np.array([np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up)])
+        disk = directions @ toward > np.cos(np.radians(5))
+        picture = np.repeat(np.where(disk, 100.0, 0.0)[..., None], 3, axis=2).astype(np.float32)
+        expected = (picture[..., 0] * solid * np.maximum(directions[..., 2], 0)).sum() / np.pi
+        floor = mesh(plane_mesh("floor under suns", 30.0), "POLYGONS")
+        lit = scene((floor, LAID), lights=(), world=World(np.ones(3), image=picture), table=table)
+        found = drawn(Case(lit, camera(EYE, (0, 0, 0.6), (32, 18)), replace(SETTINGS, bounces=0)))
+        off.append(found[9:, :, 0].mean() / expected - 1)
+    assert np.sqrt(np.mean(np.square(off))) < 0.07
+    assert np.abs(off).max() < 0.14
