@@ -244,7 +244,7 @@ def _placed(
     elif (shines := surfels.emission.any(axis=1)).any():
         shining = _held(shines, surfels, leaf, placed, size) > 0.5 * area
     rough = None
-    if surfels.fine is not None and surfels.captured is None:
+    if surfels.fine is not None:
         # What shines has outlines that are seen.
         fine = surfels.fine & ~surfels.emission.any(axis=1)
         rough = _held(fine, surfels, leaf, placed, size) > ROUGH * area
