@@ -27,6 +27,7 @@ from .known_sites import KnownSites
 from .media import BakedMedia
 
 MOST_REMEMBERED = 1 << 17  # positions, of about 100 bytes each, of which it is remembered what was gathered
+DEALT = 64  # texels along a side of what a software rasteriser (llvmpipe) gives to one thread
 
 
 @record
@@ -246,14 +247,20 @@ def world_names(lighting: tuple[str, ...]) -> tuple[str, ...]:
 
 def coherent_rows(position: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """(N,) int64: which row of a texture of receivers each is to be, so that those that are drawn together, in blocks
-    of 4 x 4 texels, lie near each other and are turned alike."""
+    of 4 x 4 texels, lie near each other and are turned alike.
+
+    Two blocks after the other lie in each square of DEALT texels in turn, all of which software rasterisers deal to
+    their threads: few receivers keep all of these busy, too.
+    """
     if len(position) == 0:
         return np.zeros(0, np.int64)
     octant = ((normal > 0) * np.array([1, 2, 4])).sum(axis=1)
     order = np.lexsort((morton_codes(position)[0], octant))
     number = np.arange(len(order))
-    block, within = number >> 4, number & 15
-    across = RECEIVER_WIDTH // 4
+    pair, (square, inside) = number >> 5, (RECEIVER_WIDTH // DEALT, DEALT // 8)
+    turn = pair // square
+    x = DEALT * (pair % square) + 8 * (turn % inside) + (number >> 4 & 1) * 4 + number % 4
+    y = 4 * (turn // inside) + (number >> 2 & 3)
     rows = np.empty(len(order), np.int64)
-    rows[order] = (4 * (block // across) + within // 4) * RECEIVER_WIDTH + 4 * (block % across) + within % 4
+    rows[order] = RECEIVER_WIDTH * y + x
     return rows
