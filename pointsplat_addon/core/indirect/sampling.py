@@ -14,8 +14,8 @@ import numpy as np
 
 from ..numeric.morton import morton_codes, sorted_by_code
 from ..numeric.record import record
-from ..numeric.segments import owners, ranges
-from ..numeric.vectors import cross, dot
+from ..numeric.segments import owners, ranges, segment_sums
+from ..numeric.vectors import cross, dot, each_block, take_columns
 from ..scene.mesh import Mesh, triangle_corners
 from ..surface.samples import Samples
 
@@ -125,19 +125,27 @@ def _parts(mesh: Mesh, spacing: Spacing) -> tuple[_Parts, np.ndarray, np.ndarray
         parted = np.flatnonzero(cut)
         apex = edges.take(parted, axis=1).argmax(axis=0)
         triangle = np.tile(triangle[parted], 2)
-        weights, corners = (_halves(one.take(parted, axis=2), apex) for one in (weights, corners))
-    whole = [np.concatenate(parts, axis=-1) for parts in zip(*done, strict=True)]
-    weights, triangle, corners, product, apart = whole
+        weights, corners = (_halves(one, parted, apex) for one in (weights, corners))
+    weights, triangle, corners, product, apart = (np.concatenate(parts, axis=-1) for parts in zip(*done, strict=True))
     return _Parts(weights, triangle), corners, product, apart
 
 
-def _halves(corners: np.ndarray, apex: np.ndarray) -> np.ndarray:
-    """(3 corners, C, 2 M): the two halves of triangles (3 corners, C, M), cut from corners `apex` (M,)."""
-    first, second, third = (
-        np.take_along_axis(corners, ((apex + k) % 3)[None, None], axis=0)[0] for k in range(3)
-    )  # (C, M)
-    middle = 0.5 * (second + third)
-    return np.stack([np.concatenate(pair, axis=1) for pair in ((first, first), (second, middle), (middle, third))])
+def _halves(corners: np.ndarray, rows: np.ndarray, apex: np.ndarray) -> np.ndarray:
+    """(3 corners, C, 2 n): the two halves of some of triangles (3 corners, C, M), `rows` (n,), cut from corners `apex`
+    (n,)."""
+    _, coordinates, size = corners.shape
+    flat, found = corners.ravel(), np.empty((3, coordinates, 2, len(rows)))
+
+    def cut(block: slice) -> None:
+        turned = [(apex[block] + k) % 3 * (coordinates * size) + rows[block] for k in range(3)]
+        for c in range(coordinates):
+            first, second, third = (flat[c * size :].take(at) for at in turned)
+            found[0, c, :, block] = first
+            found[1, c, 0, block], found[2, c, 1, block] = second, third
+            found[1, c, 1, block] = found[2, c, 0, block] = 0.5 * (second + third)
+
+    each_block(len(rows), cut)
+    return found.reshape(3, coordinates, -1)
 
 
 @record
@@ -199,10 +207,8 @@ def _merged(middle: np.ndarray, normal: np.ndarray, area: np.ndarray, worth: np.
     order, _ = sorted_by_code(morton_codes(middle.T.astype(np.float32))[0])
     centre = middle.mean(axis=1, keepdims=True)
     middle = middle - centre
-    columns = np.empty((9, len(order)))
     rows = area, *(middle * area), *(normal * area), dot(middle, middle) * area, worth
-    for column, row in zip(columns, rows, strict=True):
-        row.take(order, out=column)
+    columns = take_columns(np.stack(rows), order)
     worth = worth[order]
     kind, mixed = np.zeros(len(order), np.int64), np.zeros(len(order), bool)
     for again in range(REFINEMENTS + 1):
@@ -230,7 +236,7 @@ def _merged(middle: np.ndarray, normal: np.ndarray, area: np.ndarray, worth: np.
             kind = np.where(mixed, 6 * number + side + 1, 0)
             rows = np.argsort(kind, kind="stable")
             order, kind, mixed, finer = order[rows], kind[rows], mixed[rows], finer[rows]
-            worth, columns = worth[rows], columns.take(rows, axis=1)
+            worth, columns = worth[rows], take_columns(columns, rows)
         worth[finer] = np.minimum(worth[finer] * FINER, 1.0)
     # What is left stays by itself.
     groups = _groups(columns, new | apart[np.cumsum(new) - 1])
@@ -255,7 +261,7 @@ class _Groups:
 def _groups(columns: np.ndarray, new: np.ndarray) -> _Groups:
     """columns (9, M): as _Groups.sums, of triangles. new (M,) bool: where groups begin."""
     first = np.flatnonzero(new)
-    sums = np.add.reduceat(columns, first, axis=1)
+    sums = segment_sums(columns, first)
     length = np.sqrt(dot(sums[4:7], sums[4:7])) / sums[0]
     spread = sums[7] / sums[0] - dot(sums[1:4], sums[1:4]) / sums[0] ** 2
     return _Groups(first, sums, length, spread, np.diff(np.append(first, len(new))) > 1)

@@ -12,8 +12,8 @@ import numpy as np
 
 from ..numeric.morton import DEPTH, morton_codes, sorted_by_code
 from ..numeric.record import record
-from ..numeric.segments import owners, starts
-from ..numeric.vectors import dot
+from ..numeric.segments import owners, segment_sums, starts
+from ..numeric.vectors import dot, each_block, rows_at_once, take_columns
 from ..surface.neighbourhoods.planes import eigenvalues
 from .surfels import Surfels
 
@@ -77,10 +77,18 @@ class LightTree:
         behind = np.where(round_ones | surfels.scattered, area, 0)
         of_behind = np.where(round_ones[:, None], outside, inside)
         # Rows: of three sides, red, green, blue and area.
-        total = np.empty((12, len(self)), np.float32)
-        for side, (light, weight) in enumerate(((outside, area), (of_behind, behind), (inside, area))):
-            for row, values in enumerate((*(light.T * weight), weight)):
-                total[4 * side + row] = np.bincount(self.leaf, values, len(self))
+        total, of_sides = np.zeros((12, len(self)), np.float32), ((outside, area), (of_behind, behind), (inside, area))
+        several = np.flatnonzero(np.bincount(self.leaf)[self.leaf] > 1)  # surfels that share a leaf
+        shared, which = np.unique(self.leaf[several], return_inverse=True)
+
+        def add(rows: slice) -> None:
+            for row in range(rows.start, rows.stop):
+                light, weight = of_sides[row // 4]
+                values = weight if row % 4 == 3 else light[:, row % 4] * weight
+                total[row, self.leaf] = values
+                total[row, shared] = np.bincount(which, values[several], len(shared))
+
+        each_block(len(total), add, rows_at_once(len(area)))
         area = total[3] + total[7]  # of both sides
         for nodes, count, children in self.levels:
             of_children = total[:, children].copy()
@@ -88,7 +96,7 @@ class LightTree:
             of_children[:8, turned] = np.roll(of_children[:8, turned], 4, axis=0)
             of_children[:8] *= self.shown[children]
             first = starts(count)
-            found = np.add.reduceat(of_children, first, axis=1)
+            found = segment_sums(of_children, first)
             # Its sides count in its parent's by all of their area, or what is turned to all sides would hardly.
             area[nodes] = whole = np.add.reduceat(area[children], first)
             found[:8] *= whole / np.maximum(found[3] + found[7], np.float32(1e-37))
@@ -97,7 +105,7 @@ class LightTree:
         # A side that nothing is turned to looks like the other.
         nothing = sums[:, 3] == 0
         for side, other in ((1, 0), (0, 1), (2, 0)):
-            sums[side][:, nothing[side]] = sums[other][:, nothing[side]]
+            np.copyto(sums[side], sums[other], where=nothing[side])
         return (sums[:, :3] / np.maximum(sums[:, 3:], np.float32(1e-37))).transpose(0, 2, 1)
 
 
@@ -109,12 +117,15 @@ def build_tree(surfels: Surfels) -> LightTree:
     # Surfels in one finest cell share a leaf.
     new = np.append(True, code[1:] != code[:-1])
     begin = np.flatnonzero(new)
-    sums = [np.add.reduceat(_columns(surfels, order), begin, axis=1)]
-    radii = [_leaf_radius(surfels, order, sums[0], begin)]
+    made = len(begin)
+    sums = np.empty((14, 2 * made - 1))  # of as many nodes as there are at most
+    sums[:, :made] = segment_sums(_columns(surfels, order), begin)
+    radii = np.empty(2 * made - 1)
+    radii[:made] = _leaf_radius(surfels, order, sums[:, :made], begin)
     masks = [np.zeros(len(begin), np.uint8)]
     halved = [np.full(len(begin), DEPTH)]
     levels: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    code, own_sums, own_radii, number, made = code[begin], sums[0], radii[0], np.arange(len(begin)), len(begin)
+    code, number = code[begin], np.arange(made)
     for level in range(DEPTH - 1, -1, -1):
         if len(number) == 1:
             break
@@ -125,20 +136,19 @@ def build_tree(surfels: Surfels) -> LightTree:
         code, kept = code[first], first
         if several.any():
             parents = made + np.arange(np.count_nonzero(several))
-            made += len(parents)
             halved.append(np.full(len(parents), level))
-            children = np.repeat(several, count)
-            levels.append((parents, count[several], number[children]))
+            children = number[np.repeat(several, count)]
+            levels.append((parents, count[several], children))
             masks.append(np.bitwise_or.reduceat(np.uint8(1) << octant, first)[several])
-            merged, reach = _merged(own_sums[:, children], own_radii[children], count[several])
-            sums.append(merged)
-            radii.append(reach)
-            number, own_sums, own_radii = number[kept], own_sums[:, kept], own_radii[kept]
-            number[several], own_sums[:, several], own_radii[several] = parents, merged, reach
+            merged, reach = _merged(take_columns(sums, children), radii[children], count[several])
+            sums[:, made : made + len(parents)], radii[made : made + len(parents)] = merged, reach
+            made += len(parents)
+            number = number[kept]
+            number[several] = parents
     leaf = np.empty(len(order), np.int64)
     leaf[order] = np.cumsum(new) - 1
-    sums, radii, masks, halved = (np.concatenate(one, axis=-1) for one in (sums, radii, masks, halved))
-    return _placed(surfels, sums, radii, masks, halved, cube, levels, leaf)
+    masks, halved = np.concatenate(masks), np.concatenate(halved)
+    return _placed(surfels, sums, radii[:made], masks, halved, cube, levels, leaf)
 
 
 def _columns(surfels: Surfels, order: np.ndarray) -> np.ndarray:
@@ -171,7 +181,7 @@ def _leaf_radius(surfels: Surfels, order: np.ndarray, sums: np.ndarray, begin: n
 def _merged(sums: np.ndarray, radii: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sums (14, n) and radii (n,) of nodes with so many (n,) of the children."""
     first = starts(count)
-    merged = np.add.reduceat(sums, first, axis=1)
+    merged = segment_sums(sums, first)
     away = sums[POSITION] / sums[AREA] - np.repeat(merged[POSITION] / merged[AREA], count, axis=1)
     apart = np.sqrt(dot(away, away)) + radii
     return merged, np.maximum.reduceat(apart, first)
@@ -197,7 +207,7 @@ def _placed(
         begin, end = end, end + len(children)
         first[place[parents]] = begin + starts(count)
         placed.append((place[parents], count, slice(begin, end)))
-    means = sums.take(number, axis=1)
+    means = take_columns(sums, number)
     area = means[AREA].copy()
     means /= area
     f, leaf = np.float32, place[leaf]
@@ -209,7 +219,12 @@ def _placed(
     axis /= np.maximum(length, 1e-300)
     axis[2, length == 0] = 1
     several = np.flatnonzero(held != 1)
-    axis[:, several], along[several] = _axes(means[PRODUCTS].take(several, axis=1))
+
+    def find_axes(block: slice) -> None:
+        some = several[block]
+        axis[:, some], along[some] = _axes(means[PRODUCTS].take(some, axis=1))
+
+    each_block(len(several), find_axes)
     flat = surfels.normal.any(axis=1)
     round_ones = None if flat.all() else _held(flat, surfels, leaf, placed, size) == 0
     hairs = np.flatnonzero(round_ones & (means[SCATTERED] > 0.5)) if round_ones is not None else leaf[:0]

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import DTypeLike
 
-from .vectors import MOST_THREADS, each_block
+from .vectors import MOST_THREADS, each_block, rows_at_once
 
 PIECE = 1 << 20  # items that are sorted at once
 Counts = np.ndarray | Sequence[int]
@@ -28,6 +28,17 @@ def offsets(count: Counts) -> np.ndarray:
     if len(count):
         np.cumsum(count, out=result[1:])
     return result
+
+
+def segment_sums(rows: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """(R, S): sums of each row (N,) of (R, N) over segments, none of them empty, that begin at `first` (S,)."""
+    found = np.empty((len(rows), len(first)), rows.dtype)
+
+    def add(some: slice) -> None:
+        np.add.reduceat(rows[some], first, axis=1, out=found[some])
+
+    each_block(len(rows), add, rows_at_once(rows.shape[1]))
+    return found
 
 
 def owners(count: Counts, dtype: DTypeLike = np.int64) -> np.ndarray:

@@ -59,6 +59,23 @@ def take_rows(array: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return found
 
 
+def take_columns(array: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Columns (K,) int of a matrix (R, N), (R, K)."""
+    found, columns = np.empty((len(array), len(columns)), array.dtype), columns.astype(np.intp, copy=False)
+
+    def take(rows: slice) -> None:
+        for out, row in zip(found[rows], array[rows], strict=True):
+            out[:] = row.take(columns)
+
+    each_block(len(array), take, rows_at_once(len(columns)))
+    return found
+
+
+def rows_at_once(length: int) -> int:
+    """How many rows of that length are one block of work."""
+    return -(-BLOCK // max(length, 1))
+
+
 def put_rows(out: np.ndarray, places: np.ndarray, values: np.ndarray) -> None:
     """Puts items (K, ...) at places (K,) int of a contiguous array (N, ...) of the same dtype, each whole at once."""
     # Each item as one of that many bytes: NumPy puts the columns of rows one by one.

@@ -14,7 +14,7 @@ from ...core.indirect.surfels import Surfels
 from ...core.indirect.tree import build_tree
 from ...core.lod.levels import SIDE_AXES
 from ...core.numeric.record import record
-from ...core.numeric.vectors import dot
+from ...core.numeric.vectors import dot, each_block
 from ...core.scene.scene import Scene
 from ..device.protocol import Device, Texture
 from ..passes.indirect.pages import node_shapes, with_radiance
@@ -326,7 +326,8 @@ def bounce_receivers(surfels: Surfels, most: int, apart: np.ndarray) -> BounceRe
     if len(surfels) == 0:
         none = np.zeros((4, 0), np.int64)
         return BounceReceivers(none[0], none, none.astype(np.float32))
-    turned = (SIDE_AXES.T.astype(np.float32)[:, :, None] * surfels.normal.T).sum(axis=1)
+    normal = np.ascontiguousarray(surfels.normal.T)
+    turned = np.stack([dot(axis, normal) for axis in SIDE_AXES.T])
     face = np.abs(turned).argmax(axis=0)
     side = 2 * face + (np.take_along_axis(turned, face[None], axis=0)[0] < 0)
     # Surfels are the larger the farther off they are, and so are the cells that share a receiver. These are
@@ -360,7 +361,7 @@ def bounce_receivers(surfels: Surfels, most: int, apart: np.ndarray) -> BounceRe
     off = dot(*(2 * [surfels.position.T - middle[:, group]]))
     nearest = off == np.minimum.reduceat(off[order], new)[group]
     rows = np.minimum.reduceat(np.where(nearest[order], order, len(key)), new)
-    return _with_neighbours(surfels.normal, rows, group, key[order[new]], at - cell, key, face)
+    return _with_neighbours(normal, rows, group, key[order[new]], at - cell, key, face)
 
 
 def _distinct(keys: np.ndarray) -> int:
@@ -378,32 +379,36 @@ def _with_neighbours(
     key: np.ndarray,
     face: np.ndarray,
 ) -> BounceReceivers:
-    """Receivers `rows` (R,) of cells with keys (R,), rising, to which surfels of groups (N,) belong. `within` (3, N):
-    places in their cells, with keys (N,), in faces (N,) across the axes."""
-    ahead, apart = within < 0.5, np.abs(within - 0.5)
-    normal, steps = np.ascontiguousarray(normal.T), np.array(PRIMES)
-    axes = (face + 1) % 3, (face + 2) % 3
-    of_axes = [np.take_along_axis(apart, axis[None], axis=0)[0] for axis in axes]
-    back = [np.take_along_axis(ahead, axis[None], axis=0)[0] for axis in axes]
-    with np.errstate(over="ignore"):
-        moves = [np.where(one, -steps[axis], steps[axis]) for axis, one in zip(axes, back, strict=True)]
-        moved = moves[0], moves[1], moves[0] + moves[1]
-    others, weights = [group], [(1 - of_axes[0]) * (1 - of_axes[1])]
-    of_rows = normal[:, rows]
-    for move, shares in zip(moved, ((0, 1), (1, 0), (0, 0)), strict=True):
-        with np.errstate(over="ignore"):
-            wanted = key + move
-        weight = np.abs(shares[0] - of_axes[0]) * np.abs(shares[1] - of_axes[1])
-        found = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-        alike = dot(normal, of_rows[:, found])
-        others.append(found)
-        weights.append(np.where((keys[found] == wanted) & (alike > ALIKE), weight, 0.0))
-    total = np.stack(weights)
+    """Receivers `rows` (R,) of cells with keys (R,), rising, to which surfels with normals (3, N), of groups (N,),
+    belong. `within` (3, N): places in their cells, with keys (N,), in faces (N,) across the axes."""
     # In the order of the surfels: that of keys depends on the unit of length.
     order = np.argsort(rows)
     place = np.empty_like(order)
     place[order] = np.arange(len(order))
-    return BounceReceivers(rows[order], place[np.stack(others)], (total / total.sum(axis=0)).astype(np.float32))
+    of_rows, steps = normal[:, rows], np.array(PRIMES)
+    others, weights = np.empty((4, len(group)), np.int64), np.empty((4, len(group)), np.float32)
+
+    def fill(block: slice) -> None:
+        ahead, apart = within[:, block] < 0.5, np.abs(within[:, block] - 0.5)
+        axes = (face[block] + 1) % 3, (face[block] + 2) % 3
+        of_axes = [np.take_along_axis(apart, axis[None], axis=0)[0] for axis in axes]
+        back = [np.take_along_axis(ahead, axis[None], axis=0)[0] for axis in axes]
+        with np.errstate(over="ignore"):
+            moves = [np.where(one, -steps[axis], steps[axis]) for axis, one in zip(axes, back, strict=True)]
+            moved = moves[0], moves[1], moves[0] + moves[1]
+        others[0, block], total = place.take(group[block]), [(1 - of_axes[0]) * (1 - of_axes[1])]
+        for k, (move, shares) in enumerate(zip(moved, ((0, 1), (1, 0), (0, 0)), strict=True), 1):
+            with np.errstate(over="ignore"):
+                wanted = key[block] + move
+            weight = np.abs(shares[0] - of_axes[0]) * np.abs(shares[1] - of_axes[1])
+            found = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+            alike = dot(normal[:, block], of_rows.take(found, axis=1))
+            others[k, block] = place.take(found)
+            total.append(np.where((keys[found] == wanted) & (alike > ALIKE), weight, 0.0))
+        weights[:, block] = np.stack(total) / np.sum(total, axis=0)
+
+    each_block(len(group), fill)
+    return BounceReceivers(rows[order], others, weights)
 
 
 def sides(surfels: Surfels) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray, float]]:

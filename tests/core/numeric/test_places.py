@@ -1,11 +1,11 @@
-"""Sorted places, rows that are moved there, and ranges of columns."""
+"""Sorted places, rows that are moved there, columns that are taken or summed, and their ranges."""
 
 import numpy as np
 import pytest
 
 from pointsplat_addon.core.numeric import segments
-from pointsplat_addon.core.numeric.segments import sorted_places
-from pointsplat_addon.core.numeric.vectors import BLOCK, column_ranges, moved_rows
+from pointsplat_addon.core.numeric.segments import segment_sums, sorted_places
+from pointsplat_addon.core.numeric.vectors import BLOCK, column_ranges, moved_rows, take_columns
 
 
 @pytest.mark.parametrize("count", [0, 1, 1000, 5000])
@@ -27,6 +27,28 @@ def test_rows_go_whole_to_their_places(shape, dtype):
     np.testing.assert_array_equal(moved[places], rows)
     # What is read need not be contiguous.
     np.testing.assert_array_equal(moved_rows(rows[::-1], places)[places], rows[::-1])
+
+
+@pytest.mark.parametrize("count", [0, 1, 100, 2 * BLOCK + 7])
+def test_columns_are_taken_as_by_indexing(count):
+    rng = np.random.default_rng(count)
+    rows = rng.normal(size=(7, 1000)).astype(np.float32)
+    for places in (rng.integers(0, 1000, count), rng.integers(0, 1000, count).astype(np.int32)):
+        for given in (rows, rows[::-1], np.asfortranarray(rows)):
+            found = take_columns(given, places)
+            assert found.dtype == np.float32
+            np.testing.assert_array_equal(found, given[:, places])
+
+
+@pytest.mark.parametrize("count", [1, 100, 2 * BLOCK + 7])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_sums_of_segments_are_those_of_one_thread(count, dtype):
+    rng = np.random.default_rng(count)
+    rows = rng.normal(size=(7, count)).astype(dtype)
+    first = np.flatnonzero(np.append(True, rng.random(count - 1) < 0.2))
+    found = segment_sums(rows, first)
+    assert found.dtype == dtype
+    np.testing.assert_array_equal(found, np.add.reduceat(rows, first, axis=1))
 
 
 @pytest.mark.parametrize("count", [1, 63, 64, 1000, 2 * BLOCK + 7])
