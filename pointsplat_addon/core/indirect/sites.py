@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..numeric.record import record
+from ..numeric.vectors import dot
 from .closed import scrambled
 
 FINE = 9  # steps of sites along the edge of a cell, where its middle is hidden; odd
@@ -39,9 +40,10 @@ class Sites:
 def cells(position: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Returns the cells (N, 3) whole float64, with edges of 2^level, (N,), in which places (N, 3) float64 lie, and the
     squared distances, over those of the edges, from their middles, (N,)."""
-    at = position / np.exp2(level)[:, None] + SHIFT
+    at = np.ascontiguousarray(position.T) / np.exp2(level) + SHIFT
     found = np.floor(at)
-    return found, ((at - found - 0.5) ** 2).sum(axis=1)
+    off = at - found - 0.5
+    return found.T, dot(off, off)
 
 
 def sites(position: np.ndarray, normal: np.ndarray, level: np.ndarray, steps: int = 1) -> Sites:

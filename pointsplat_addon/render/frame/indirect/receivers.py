@@ -12,6 +12,7 @@ import numpy as np
 
 from ....core.indirect.sites import FINE, Sites, cell_keys, cells, scrambled, sites
 from ....core.numeric.record import record
+from ....core.numeric.vectors import dot
 from ...passes.indirect.interpolate import TILE
 from ...passes.uniforms import SampleView
 
@@ -102,19 +103,21 @@ def _above_what_is_beside(
 
     `shown` (H * W,): a group of each pixel; -1: none. Those next to a group's count.
     """
-    position, normal = groups.position[rows], groups.normal[rows]
+    position, normal = groups.position.take(rows, axis=0).T, groups.normal.take(rows, axis=0).T
     found, least = np.zeros((len(rows), 3)), np.full(len(rows), LIFT)
     x, y = groups.pixel[rows] % width, groups.pixel[rows] // width
     for step in range(9):
         at = np.clip(y + step // 3 - 1, 0, len(shown) // width - 1) * width + np.clip(x + step % 3 - 1, 0, width - 1)
         other = shown[at]
-        to, turned = groups.position[other] - position, groups.normal[other]
-        higher, before = (to * normal).sum(axis=1), -(to * turned).sum(axis=1)
-        hollow = (other >= 0) & ((normal * turned).sum(axis=1) < ALIKE) & ((to**2).sum(axis=1) < edge**2)
-        hollow &= (higher > SUNK * edge) & (before > -SUNK * edge)
-        above = ((place - groups.position[other]) * turned).sum(axis=1) / edge
-        nearer = hollow & (above < least)
-        found[nearer], least[nearer] = turned[nearer], above[nearer]
+        turned = groups.normal.take(other, axis=0).T
+        some = np.flatnonzero((other >= 0) & (dot(normal, turned) < ALIKE))
+        turned, there, size = turned[:, some], groups.position.take(other[some], axis=0).T, edge[some]
+        to = there - position[:, some]
+        higher, before = dot(to, normal[:, some]), -dot(to, turned)
+        hollow = (dot(to, to) < size**2) & (higher > SUNK * size) & (before > -SUNK * size)
+        above = dot(place[some].T - there, turned) / size
+        nearer = np.flatnonzero(hollow & (above < least[some]))
+        found[some[nearer]], least[some[nearer]] = turned[:, nearer].T, above[nearer]
     return found
 
 
@@ -177,7 +180,7 @@ def choose_receivers(groups: Groups, view: SampleView, side: int, fewest: int | 
     """
     width, height = view.size
     there = np.flatnonzero(groups.depth != 0)
-    pixel, position, normal = groups.pixel[there], groups.position[there], groups.normal[there]
+    pixel, position, normal = (of.take(there, axis=0) for of in (groups.pixel, groups.position, groups.normal))
     x, y = pixel % width, pixel // width
     columns, rows = -(-width // side), -(-height // side)
     tile = (y // side) * columns + x // side
