@@ -179,7 +179,7 @@ def _split(parts: _Parts, corners: np.ndarray, worth: np.ndarray) -> _Split:
     last = place == k - row - 1
     middle = np.where(last, 1 / 3, 0.5)
     first, second = (place + middle) / k, (row + middle) / k
-    weights, corners = weights[:, :, own], corners[:, :, own]
+    weights, corners = weights.take(own, axis=2), corners.take(own, axis=2)
     at, position = (x[0] + first * (x[1] - x[0]) + second * (x[2] - x[0]) for x in (weights, corners))
     edge = (corners[1] - corners[0]) / k
     share = np.where(last, 1.0, 2.0) / (k * k)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..numeric.record import record
-from ..numeric.vectors import blocks
+from ..numeric.vectors import blocks, each_block
 from ..scene.camera import Camera
 from ..scene.mesh import Mesh
 
@@ -50,11 +50,14 @@ def interpolate(mesh: Mesh, samples: Samples, per_corner: np.ndarray) -> np.ndar
     if samples.ellipse is None:
         return np.asarray(per_corner[samples.triangle, corner_of_sample(samples)], np.float32)
     result = np.empty((len(samples), per_corner.shape[2]), np.float32)
-    for block in blocks(len(samples)):
+
+    def fill(block: slice) -> None:
         a, b, c = per_corner.take(samples.triangle[block], axis=0).transpose(1, 2, 0)
         weights = samples.barycentric[block].T
         with np.errstate(invalid="ignore"):
             result[block] = (a + weights[0] * (b - a) + weights[1] * (c - a)).T
+
+    each_block(len(samples), fill)
     return result
 
 

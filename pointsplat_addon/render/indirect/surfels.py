@@ -15,6 +15,7 @@ from ...core.indirect.sheets import WIDE, Sheets, sheets
 from ...core.indirect.surfels import Surfels, joined
 from ...core.light.bsdf import relative_index, sample_reflectance_table
 from ...core.lod.foliage import is_foliage
+from ...core.numeric.vectors import each_block
 from ...core.scene.camera import Camera
 from ...core.scene.captured import CapturedSplats
 from ...core.scene.cloud import PointCloud
@@ -385,14 +386,19 @@ def _look(
 ) -> tuple[np.ndarray, np.ndarray]:
     """What points of materials `rows` (N,) scatter of light, and what they emit, (N, 3) float32 each: the diffuse lobe
     alone, as of surfaces that are seen by way of others. The others: as of PointCloud."""
-    color = table.base_color[rows] if color is None else color
-    surface = np.stack([table.roughness, table.metallic], axis=1)[rows] if surface is None else surface
-    emission = table.emission[rows] if emission is None else emission
-    albedo = (
-        np.maximum(color, 0)
-        * ((1 - np.clip(surface[:, 1], 0, 1)) * (1 - _reflected(surface[:, 0], rows, table)))[:, None]
-    )
-    return np.minimum(albedo, 1).astype(np.float32), np.maximum(emission, 0).astype(np.float32)
+    constant = np.stack([table.roughness, table.metallic], axis=1)
+    albedo, shines = np.empty((2, len(rows), 3), np.float32)
+
+    def look(block: slice) -> None:
+        own = rows[block]
+        base = table.base_color[own] if color is None else color[block]
+        rough, metallic = (constant[own] if surface is None else surface[block]).T
+        scattered = (1 - np.clip(metallic, 0, 1)) * (1 - _reflected(rough, own, table))
+        albedo[block] = np.minimum(np.maximum(base, 0) * scattered[:, None], 1)
+        shines[block] = np.maximum(table.emission[own] if emission is None else emission[block], 0)
+
+    each_block(len(rows), look)
+    return albedo, shines
 
 
 def _reflected(roughness: np.ndarray, rows: np.ndarray, table: MaterialTable) -> np.ndarray:
