@@ -11,6 +11,8 @@
 // beside how far a tilted surface goes on within a cell, is hidden by chance.
 // PS_SHINING: some surfaces emit light. Small bright things, as letters are, hide others of their kind, which would add up: in a cell
 // light that comes from clearly behind one of them is hidden as if by chance, in each of its quarters.
+// PS_BODIES: there are bodies of fine triangles. What lies behind one of them is hidden by it as if by chance, in cells that it covers
+// in part, where it would add up else.
 // PS_EVERY_SIDE: of a hemisphere, half of what a receiver within a medium sees: without the cosine.
 // PS_OCCLUSION: how much of a white world is open: what hides it sends no light, and does so within a distance alone.
 // PS_MOMENTS, with it: in place of out_diffuse, moments over the hemisphere of what is seen, as of core/indirect/moments.py.
@@ -52,6 +54,11 @@
 #define PS_OUTSIDE 2.0  // fronts over backs that a receiver has seen, from which on it lies outside of things
 #define PS_HIDES 2.0  // of backs, over what is shown of fronts, that are hidden there
 #define PS_BESIDE 1.2  // times farther away than backs, up to which fronts take their place
+// A cell has left a body of fine triangles where it shows so much of backs, over fronts, in pieces that show so many times more of
+// these; behind it lies what is so many times as far away as the plane of the latest such back.
+#define PS_HAS_LEFT 0.3
+#define PS_CLEARLY 1.3
+#define PS_BEHIND 1.01
 #define PS_FULL 0.95  // share from which on nothing more is seen in a cell: what is open of it counts as closed
 #define PS_WIDENED 1.4  // how far circles reach in cells at most, over what their solid angle tells
 #define PS_LAYER 0.5  // half a cell: how much farther away a surface is at its other end, over the tangent of its tilt
@@ -76,6 +83,10 @@ vec3 ps_mirrored[PS_CELLS * PS_CELLS];  // what PsGathered has of it, before med
 float ps_fronts = 0.0, ps_backs = 0.0;  // solid angles of surfaces that were seen from before, and from behind
 float ps_left[PS_CELLS * PS_CELLS];  // one over the distance of what is seen from behind, the latest
 float ps_inside[PS_CELLS * PS_CELLS];  // covered by surfaces that are seen from before, less those from behind
+#ifdef PS_BODIES
+vec3 ps_body[PS_CELLS * PS_CELLS];  // covered before the latest body, and what was seen of its fronts and backs
+vec3 ps_exit[PS_CELLS * PS_CELLS];  // plane of the latest back, its normal over its distance; 0: none
+#endif
 uvec2 ps_full = uvec2(0u);  // cells that are covered, a bit each, 8 for a row, 4 rows in each number
 
 struct PsGathered {
@@ -109,6 +120,11 @@ struct PsSeen {
   bool single;  // one piece of a leaf or hair that is a body, which does not hide itself
 #ifdef PS_SHINING
   bool shining;  // it emits light
+#endif
+#ifdef PS_BODIES
+  bool fine;  // it only stands for fine triangles near it
+#endif
+#if defined(PS_SHINING) || defined(PS_BODIES)
   vec3 plane;  // its normal over the distance of its plane, in the receiver's axes
 #endif
 #ifdef PS_CAPTURED
@@ -160,8 +176,19 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   float hidden = look.solid ? left : solid * min(left, max(inside, 0.0) + hides);
   float seen_back = left - hidden, whole = entered + seen_back;
   inside += solid * (hides - left);
-  float open = 1.0 - covered, by_chance = seen.single ? min(whole, 1.0) : 1.0 - exp(-whole);
-  float covers = look.scattered ? by_chance * open : min(whole, open);
+  float open = 1.0 - covered, by_chance = seen.single ? min(whole, 1.0) : 1.0 - exp(-whole), shows = whole;
+#ifdef PS_BODIES
+  if (tiles) {
+    vec3 body = ps_body[i], exit = ps_exit[i];
+    bool has_left = body.z >= PS_HAS_LEFT * body.y && dot(exit, seen.direction) > PS_BEHIND * seen.nearness;
+    body = has_left && entered > PS_CLEARLY * left ? vec3(covered, 0.0, 0.0) : body;
+    bool leaves = seen.fine && left > PS_CLEARLY * entered;
+    ps_body[i] = vec3(body.x, body.y + entered, body.z + (leaves ? left : 0.0));
+    ps_exit[i] = leaves ? seen.plane : exit;
+    shows *= 1.0 - body.x;
+  }
+#endif
+  float covers = look.scattered ? by_chance * open : min(shows, open);
   covered += covers;
 #ifdef PS_SHINING
   covers = ps_cover_quarters(i, max(low - vec2(at), 0.0), min(high - vec2(at), 1.0), whole, kept, seen, look);
@@ -342,6 +369,9 @@ void main()
     ps_quarters[i] = ps_earlier[i] = vec4(0.0);
 #endif
     ps_left[i] = 0.0;
+#ifdef PS_BODIES
+    ps_body[i] = ps_exit[i] = vec3(0.0);
+#endif
 #ifdef PS_CAPTURED
     ps_layer[i] = 0.0;
     ps_parts[4 * i] = ps_parts[4 * i + 1] = ps_parts[4 * i + 2] = ps_parts[4 * i + 3] = vec4(0.0);
@@ -475,11 +505,16 @@ void main()
       seen.back = (both - signed_area) * angle;
       seen.direction = normalize(vec3(dot(to, tangent), dot(to, across), max(rises, 0.25 * top)));
       seen.radiance = toward > 0.0 ? look.before : look.behind;
-#ifdef PS_SHINING
+#if defined(PS_SHINING) || defined(PS_BODIES)
       // Of surfaces that are turned to all sides it faces the receiver.
       vec3 plane = (1.0 - look.along) * to / away - sign(toward) * look.along * look.axis;
       plane /= max(dot(plane, to), PS_FLATTEST * away);
       seen.plane = vec3(dot(plane, tangent), dot(plane, across), dot(plane, n));
+#endif
+#ifdef PS_BODIES
+      seen.fine = (node.bits & PS_IS_ROUGH) != 0;
+#endif
+#ifdef PS_SHINING
       seen.shining = (node.bits & PS_IS_SHINING) != 0;
 #endif
 #ifdef PS_CAPTURED

@@ -22,9 +22,11 @@ def gathered(
     coarseness: float = 1.0,
     inside: float = 1.0,
     shining: bool = False,
+    bodies: bool = False,
 ) -> np.ndarray:
     """(N,): irradiance over pi at places with normals (N, 3); radiance: of surfels, (n,), and of their other sides
-    `inside` times as much. `shining`: by the variant for scenes in which something emits light."""
+    `inside` times as much. `shining`, `bodies`: by the variants for scenes in which something emits light, and that
+    have fine triangles."""
     device = drawing.opengl().device
     tree = build_tree(surfels)
     sides = np.repeat(radiance[:, None], 3, axis=1)
@@ -35,9 +37,8 @@ def gathered(
     receivers = receiver_texture(device, position, normal, normal, np.ones(len(position)))
     record = GATHER_BLOCK.record(root=len(tree) - 1, coarseness=coarseness, sky=1.0, cube=tuple(tree.cube.tolist()))
     world, textures = (("PS_HAS_WORLD",), {"ps_lights": lights}) if sky else ((), {})
-    found = Gather(
-        device, receivers, gather_program(world, glossy=False, shining=shining), record, {"ps_nodes": nodes, **textures}
-    )
+    program = gather_program(world, glossy=False, shining=shining, bodies=bodies)
+    found = Gather(device, receivers, program, record, {"ps_nodes": nodes, **textures})
     result = device.read(found.diffuse).reshape(-1, 4)[: len(position), 0].astype(float)
     for item in (found, receivers, lights, nodes):
         item.release()

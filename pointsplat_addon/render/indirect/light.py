@@ -74,6 +74,7 @@ class IndirectLight:
         bits = np.bitwise_or.reduce(baked.nodes[:, 6].astype(np.int64), initial=0)
         self._captured = bool(bits & int(CAPTURED))
         self._shining = bool(bits & int(SHINING)) and within is None
+        self._bodies = bool((baked.nodes[:, 4] < 0).any())
         self._table = light_texture((), world, np.eye(4))
         self._textures: dict[str, Texture] = {}
         self.known, self.known_moments = KnownSites(8), KnownSites(MOMENTS)
@@ -163,7 +164,8 @@ class IndirectLight:
     def _program(self, glossy: bool, **kind: bool) -> Interface:
         of_scene = {"media": self.media is not None, "colored": self._colored, "captured": self._captured}
         # What is sent on further is even, and needs no more.
-        of_scene["shining"] = self._shining and not kind.get("bounces", False)
+        last = not kind.get("bounces", False)
+        of_scene["shining"], of_scene["bodies"] = self._shining and last, self._bodies and last and not self._shining
         of_scene["occlusion"] = self.occlusion
         return gather_program(self._names, glossy, **of_scene, **kind)
 

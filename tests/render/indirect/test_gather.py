@@ -60,6 +60,35 @@ def floor_arrays(size: float, cells: int) -> tuple[np.ndarray, np.ndarray, np.nd
     return position, np.broadcast_to(UP, position.shape), np.array((size / cells) ** 2)
 
 
+def test_bodies_behind_each_other_do_not_hide_the_sky_twice():
+    """Balls of fine triangles in a row, six behind each other, against rays, 64 x 64 of equal weight from each place:
+    they hide 0.111 of the sky, and would hide 0.227 if all added up. Found: root mean square 0.0309, worst 0.0430;
+    where cells do not tell bodies 0.0361 and 0.0515."""
+    rng, places = np.random.default_rng(5), 60
+    middles = np.linspace(1.5, 5.5, 6)[:, None] * np.array([0.7, 0.0, 0.7])
+    middles[:, 1:] += rng.uniform(-0.15, 0.15, (6, 2))
+    radius = 0.6
+    balls = [ball(800, radius, 0.0) for _ in middles]
+    balls = [
+        replace(one, position=one.position + at.astype(np.float32)) for one, at in zip(balls, middles, strict=True)
+    ]
+    bodies = replace(joined(balls), fine=np.ones(6 * 800, bool))
+    floor = replace(surfels_of(*floor_arrays(24.0, 72)), fine=np.zeros(72**2, bool))
+    surfels = joined([bodies, floor])
+    turn = np.linspace(0, 2 * np.pi, places, endpoint=False)
+    place = np.stack([0.4 * np.cos(turn), 0.4 * np.sin(turn), 0 * turn], axis=1)
+    x, y = ((np.arange(64) + 0.5) / 64 for _ in range(2))
+    u, v = (a.ravel() for a in np.meshgrid(x, y))
+    ray = np.stack([np.sqrt(u) * np.cos(2 * np.pi * v), np.sqrt(u) * np.sin(2 * np.pi * v), np.sqrt(1 - u)], axis=1)
+    to = middles[None] - place[:, None]
+    ahead = to @ ray.T
+    hit = (ahead > 0) & ((to**2).sum(axis=-1)[..., None] - ahead**2 < radius**2)
+    truth = 1 - hit.any(axis=1).mean(axis=1)
+    error = gathered(surfels, np.zeros(len(surfels)), place, UP, 1.0, bodies=True) - truth
+    assert np.sqrt((error**2).mean()) < 0.033
+    assert np.abs(error).max() < 0.045
+
+
 def test_a_plane_has_its_whole_sky():
     """Its own surfels hide nothing of it. Worst: 0."""
     _, place = along(200, 6.0)

@@ -45,13 +45,15 @@ def gather_program(
     captured: bool = False,
     occlusion: bool = False,
     shining: bool = False,
+    bodies: bool = False,
 ) -> Interface:
     """Returns the program that gathers. `world`: the PS_ names of the sky. `glossy`: what smooth surfaces mirror.
     `bounces`: light for surfaces that light others. `media`: there are some; its block then has MEDIA_FIELDS, too.
     `every_side`: for receivers within media, of each of two hemispheres. `colored`: extinction of media differs between
     the channels. `moments`: of what is seen all around, of each of two hemispheres. `captured`: the tree has captured
     splats. `occlusion`: what hides the world sends no light, and does so within a distance alone, of WITHIN_FIELDS.
-    `shining`: some nodes of the tree emit light, and hide what lies behind them in parts of cells."""
+    `shining`: some nodes of the tree emit light, and hide what lies behind them in parts of cells. `bodies`: some stand
+    for fine triangles, of which what lies behind bodies does not add up."""
     lights = (("FLOAT_2D", "ps_lights"),) if world else ()
     picture = (("FLOAT_2D", "ps_environment"),) if "PS_HAS_ENVIRONMENT" in world else ()
     names = (*world, *(("PS_GLOSSY",) if glossy else ()), *(("PS_BOUNCES",) if bounces else ()))
@@ -61,6 +63,7 @@ def gather_program(
     names += ("PS_CAPTURED",) if captured else ()
     names += ("PS_OCCLUSION",) if occlusion else ()
     names += ("PS_SHINING",) if shining else ()
+    names += ("PS_BODIES",) if bodies else ()
     cells, rays = (BOUNCE_CELLS, BOUNCE_RAYS) if bounces else (CELLS, RAYS)
     of_media = (("PS_MEDIA_WIDTH", str(MEDIA_WIDTH)), ("PS_RAYS", str(rays))) if media else ()
     outputs = (("vec4", "out_diffuse"), *((("vec4", "out_glossy"),) if glossy else ()))
