@@ -84,7 +84,7 @@ float ps_fronts = 0.0, ps_backs = 0.0;  // solid angles of surfaces that were se
 float ps_left[PS_CELLS * PS_CELLS];  // one over the distance of what is seen from behind, the latest
 float ps_inside[PS_CELLS * PS_CELLS];  // covered by surfaces that are seen from before, less those from behind
 #ifdef PS_BODIES
-vec3 ps_body[PS_CELLS * PS_CELLS];  // covered before the latest body, and what was seen of its fronts and backs
+vec2 ps_body[PS_CELLS * PS_CELLS];  // covered before the latest body; of its backs, what was seen beyond PS_HAS_LEFT of its fronts
 vec3 ps_exit[PS_CELLS * PS_CELLS];  // plane of the latest back, its normal over its distance; 0: none
 #endif
 uvec2 ps_full = uvec2(0u);  // cells that are covered, a bit each, 8 for a row, 4 rows in each number
@@ -123,6 +123,7 @@ struct PsSeen {
 #endif
 #ifdef PS_BODIES
   bool fine;  // it only stands for fine triangles near it
+  float open;  // share that no body hides that lies before it
 #endif
 #if defined(PS_SHINING) || defined(PS_BODIES)
   vec3 plane;  // its normal over the distance of its plane, in the receiver's axes
@@ -178,15 +179,7 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   inside += solid * (hides - left);
   float open = 1.0 - covered, by_chance = seen.single ? min(whole, 1.0) : 1.0 - exp(-whole), shows = whole;
 #ifdef PS_BODIES
-  if (tiles) {
-    vec3 body = ps_body[i], exit = ps_exit[i];
-    bool has_left = body.z >= PS_HAS_LEFT * body.y && dot(exit, seen.direction) > PS_BEHIND * seen.nearness;
-    body = has_left && entered > PS_CLEARLY * left ? vec3(covered, 0.0, 0.0) : body;
-    bool leaves = seen.fine && left > PS_CLEARLY * entered;
-    ps_body[i] = vec3(body.x, body.y + entered, body.z + (leaves ? left : 0.0));
-    ps_exit[i] = leaves ? seen.plane : exit;
-    shows *= 1.0 - body.x;
-  }
+  shows *= seen.open;
 #endif
   float covers = look.scattered ? by_chance * open : min(shows, open);
   covered += covers;
@@ -219,6 +212,24 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
 #include "lib/indirect/captured_parts.glsl"
 #endif
 
+#ifdef PS_BODIES
+// The share of a piece that bodies before it leave open, by what the cell shows that its middle lies in.
+float ps_open_before(vec2 centre, float cell, PsSeen seen, PsNodeLook look)
+{
+  ivec2 at = clamp(ivec2(centre), 0, PS_CELLS - 1);
+  int i = at.y * PS_CELLS + at.x;
+  vec2 body = ps_body[i];
+  vec3 exit = ps_exit[i];
+  float entered = look.scattered ? 0.0 : seen.front / cell, left = look.scattered ? 0.0 : seen.back / cell;
+  bool is_behind = body.y >= 0.0 && dot(exit, seen.direction) > PS_BEHIND * seen.nearness;
+  body = is_behind && entered > PS_CLEARLY * left ? vec2(ps_covered[i], 0.0) : body;
+  bool leaves = seen.fine && left > PS_CLEARLY * entered;
+  ps_body[i] = vec2(body.x, body.y + (leaves ? left : 0.0) - PS_HAS_LEFT * entered);
+  ps_exit[i] = leaves ? seen.plane : exit;
+  return 1.0 - body.x;
+}
+#endif
+
 // A piece of surface is smaller than a cell, and counts as a square of a cell's size around it: cells are then covered more evenly
 // than by squares of its own size. Leaves and hairs together may be larger, and fill up to two by two cells, the nearest.
 void ps_deposit(inout PsGathered sum, PsSeen seen, PsNodeLook look, vec4 lobe)
@@ -232,6 +243,9 @@ void ps_deposit(inout PsGathered sum, PsSeen seen, PsNodeLook look, vec4 lobe)
   vec2 sides = max(high - low, 1e-6);
   float share = 1.0 / (sides.x * sides.y);
   ivec2 first = ivec2(low);
+#ifdef PS_BODIES
+  seen.open = ps_open_before(centre, cell, seen, look);
+#endif
   // Without a loop, whose turns would count.
   ps_cover(sum, first, low, high, share, cell, seen, look, lobe);
   ps_cover(sum, first + ivec2(1, 0), low, high, share, cell, seen, look, lobe);
@@ -370,7 +384,8 @@ void main()
 #endif
     ps_left[i] = 0.0;
 #ifdef PS_BODIES
-    ps_body[i] = ps_exit[i] = vec3(0.0);
+    ps_body[i] = vec2(0.0);
+    ps_exit[i] = vec3(0.0);
 #endif
 #ifdef PS_CAPTURED
     ps_layer[i] = 0.0;
