@@ -11,8 +11,8 @@
 // beside how far a tilted surface goes on within a cell, is hidden by chance.
 // PS_SHINING: some surfaces emit light. Small bright things, as letters are, hide others of their kind, which would add up: in a cell
 // light that comes from clearly behind one of them is hidden as if by chance, in each of its quarters.
-// PS_BODIES: there are bodies of fine triangles. What lies behind one of them is hidden by it as if by chance, in cells that it covers
-// in part, where it would add up else.
+// PS_BODIES: there are fine triangles. What lies behind a body of such is hidden by it as if by chance, in cells that it covers in part,
+// where it would add up else.
 // PS_EVERY_SIDE: of a hemisphere, half of what a receiver within a medium sees: without the cosine.
 // PS_OCCLUSION: how much of a white world is open: what hides it sends no light, and does so within a distance alone.
 // PS_MOMENTS, with it: in place of out_diffuse, moments over the hemisphere of what is seen, as of core/indirect/moments.py.
@@ -55,10 +55,12 @@
 #define PS_HIDES 2.0  // of backs, over what is shown of fronts, that are hidden there
 #define PS_BESIDE 1.2  // times farther away than backs, up to which fronts take their place
 // A cell has left a body of fine triangles where it shows so much of backs, over fronts, in pieces that show so many times more of
-// these; behind it lies what is so many times as far away as the plane of the latest such back.
+// these; behind it lies what is so many times as far away as the plane of the latest such back. A front of fine triangles is another
+// body, too, that lies behind the plane of the first front by so much of its distance, half a cell.
 #define PS_HAS_LEFT 0.3
 #define PS_CLEARLY 1.3
 #define PS_BEHIND 1.01
+#define PS_DEEP 0.16
 #define PS_FULL 0.95  // share from which on nothing more is seen in a cell: what is open of it counts as closed
 #define PS_WIDENED 1.4  // how far circles reach in cells at most, over what their solid angle tells
 #define PS_LAYER 0.5  // half a cell: how much farther away a surface is at its other end, over the tangent of its tilt
@@ -85,7 +87,8 @@ float ps_left[PS_CELLS * PS_CELLS];  // one over the distance of what is seen fr
 float ps_inside[PS_CELLS * PS_CELLS];  // covered by surfaces that are seen from before, less those from behind
 #ifdef PS_BODIES
 vec2 ps_body[PS_CELLS * PS_CELLS];  // covered before the latest body; of its backs, what was seen beyond PS_HAS_LEFT of its fronts
-vec3 ps_exit[PS_CELLS * PS_CELLS];  // plane of the latest back, its normal over its distance; 0: none
+vec3 ps_entry[PS_CELLS * PS_CELLS];  // plane of the first front of fine triangles, its normal over its distance; 0: none
+vec3 ps_exit[PS_CELLS * PS_CELLS];  // of the latest such back
 #endif
 uvec2 ps_full = uvec2(0u);  // cells that are covered, a bit each, 8 for a row, 4 rows in each number
 
@@ -219,12 +222,15 @@ float ps_open_before(vec2 centre, float cell, PsSeen seen, PsNodeLook look)
   ivec2 at = clamp(ivec2(centre), 0, PS_CELLS - 1);
   int i = at.y * PS_CELLS + at.x;
   vec2 body = ps_body[i];
-  vec3 exit = ps_exit[i];
+  vec3 entry = ps_entry[i], exit = ps_exit[i];
   float entered = look.scattered ? 0.0 : seen.front / cell, left = look.scattered ? 0.0 : seen.back / cell;
-  bool is_behind = body.y >= 0.0 && dot(exit, seen.direction) > PS_BEHIND * seen.nearness;
-  body = is_behind && entered > PS_CLEARLY * left ? vec2(ps_covered[i], 0.0) : body;
-  bool leaves = seen.fine && left > PS_CLEARLY * entered;
+  bool enters = entered > PS_CLEARLY * left, leaves = seen.fine && left > PS_CLEARLY * entered;
+  bool after = body.y >= 0.0 && dot(exit, seen.direction) > PS_BEHIND * seen.nearness;
+  bool deep = seen.fine && dot(entry, seen.direction) - seen.nearness > PS_DEEP * length(entry);
+  bool begins = enters && (after || deep);
+  body = begins ? vec2(ps_covered[i], 0.0) : body;
   ps_body[i] = vec2(body.x, body.y + (leaves ? left : 0.0) - PS_HAS_LEFT * entered);
+  ps_entry[i] = seen.fine && enters && (begins || entry == vec3(0.0)) ? seen.plane : entry;
   ps_exit[i] = leaves ? seen.plane : exit;
   return 1.0 - body.x;
 }
@@ -385,7 +391,7 @@ void main()
     ps_left[i] = 0.0;
 #ifdef PS_BODIES
     ps_body[i] = vec2(0.0);
-    ps_exit[i] = vec3(0.0);
+    ps_exit[i] = ps_entry[i] = vec3(0.0);
 #endif
 #ifdef PS_CAPTURED
     ps_layer[i] = 0.0;
