@@ -54,13 +54,6 @@
 #define PS_OUTSIDE 2.0  // fronts over backs that a receiver has seen, from which on it lies outside of things
 #define PS_HIDES 2.0  // of backs, over what is shown of fronts, that are hidden there
 #define PS_BESIDE 1.2  // times farther away than backs, up to which fronts take their place
-// A cell has left a body of fine triangles where it shows so much of backs, over fronts, in pieces that show so many times more of
-// these; behind it lies what is so many times as far away as the plane of the latest such back. A front of fine triangles is another
-// body, too, that lies behind the plane of the first front by so much of its distance, half a cell.
-#define PS_HAS_LEFT 0.3
-#define PS_CLEARLY 1.3
-#define PS_BEHIND 1.01
-#define PS_DEEP 0.16
 #define PS_FULL 0.95  // share from which on nothing more is seen in a cell: what is open of it counts as closed
 #define PS_WIDENED 1.4  // how far circles reach in cells at most, over what their solid angle tells
 #define PS_LAYER 0.5  // half a cell: how much farther away a surface is at its other end, over the tangent of its tilt
@@ -85,11 +78,6 @@ vec3 ps_mirrored[PS_CELLS * PS_CELLS];  // what PsGathered has of it, before med
 float ps_fronts = 0.0, ps_backs = 0.0;  // solid angles of surfaces that were seen from before, and from behind
 float ps_left[PS_CELLS * PS_CELLS];  // one over the distance of what is seen from behind, the latest
 float ps_inside[PS_CELLS * PS_CELLS];  // covered by surfaces that are seen from before, less those from behind
-#ifdef PS_BODIES
-vec2 ps_body[PS_CELLS * PS_CELLS];  // covered before the latest body; of its backs, what was seen beyond PS_HAS_LEFT of its fronts
-vec3 ps_entry[PS_CELLS * PS_CELLS];  // plane of the first front of fine triangles, its normal over its distance; 0: none
-vec3 ps_exit[PS_CELLS * PS_CELLS];  // of the latest such back
-#endif
 uvec2 ps_full = uvec2(0u);  // cells that are covered, a bit each, 8 for a row, 4 rows in each number
 
 struct PsGathered {
@@ -180,9 +168,11 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
   float hidden = look.solid ? left : solid * min(left, max(inside, 0.0) + hides);
   float seen_back = left - hidden, whole = entered + seen_back;
   inside += solid * (hides - left);
-  float open = 1.0 - covered, by_chance = seen.single ? min(whole, 1.0) : 1.0 - exp(-whole), shows = whole;
+  float open = 1.0 - covered, by_chance = seen.single ? min(whole, 1.0) : 1.0 - exp(-whole);
 #ifdef PS_BODIES
-  shows *= seen.open;
+  float shows = whole * seen.open;
+#else
+  float shows = whole;
 #endif
   float covers = look.scattered ? by_chance * open : min(shows, open);
   covered += covers;
@@ -216,24 +206,7 @@ void ps_cover(inout PsGathered sum, ivec2 at, vec2 low, vec2 high, float share, 
 #endif
 
 #ifdef PS_BODIES
-// The share of a piece that bodies before it leave open, by what the cell shows that its middle lies in.
-float ps_open_before(vec2 centre, float cell, PsSeen seen, PsNodeLook look)
-{
-  ivec2 at = clamp(ivec2(centre), 0, PS_CELLS - 1);
-  int i = at.y * PS_CELLS + at.x;
-  vec2 body = ps_body[i];
-  vec3 entry = ps_entry[i], exit = ps_exit[i];
-  float entered = look.scattered ? 0.0 : seen.front / cell, left = look.scattered ? 0.0 : seen.back / cell;
-  bool enters = entered > PS_CLEARLY * left, leaves = seen.fine && left > PS_CLEARLY * entered;
-  bool after = body.y >= 0.0 && dot(exit, seen.direction) > PS_BEHIND * seen.nearness;
-  bool deep = seen.fine && dot(entry, seen.direction) - seen.nearness > PS_DEEP * length(entry);
-  bool begins = enters && (after || deep);
-  body = begins ? vec2(ps_covered[i], 0.0) : body;
-  ps_body[i] = vec2(body.x, body.y + (leaves ? left : 0.0) - PS_HAS_LEFT * entered);
-  ps_entry[i] = seen.fine && enters && (begins || entry == vec3(0.0)) ? seen.plane : entry;
-  ps_exit[i] = leaves ? seen.plane : exit;
-  return 1.0 - body.x;
-}
+#include "lib/indirect/bodies.glsl"
 #endif
 
 // A piece of surface is smaller than a cell, and counts as a square of a cell's size around it: cells are then covered more evenly

@@ -110,9 +110,8 @@ def packed_radiance(radiance: np.ndarray) -> np.ndarray:
     """Packs radiance (N, 3) into two whole numbers below 2^24, (N, 2): exponent and red, green and blue."""
     values = np.clip(radiance.T, 0.0, 1e30, dtype=np.float32)
     exponent = np.frexp(np.maximum(values.max(axis=0), np.float32(1e-30)))[1]
-    scale = (FLOAT_BIAS - exponent << FLOAT_BITS).view(
-        np.float32
-    ) * MANTISSA  # as ldexp, which takes several times longer
+    # As ldexp, which takes several times longer.
+    scale = (FLOAT_BIAS - exponent << FLOAT_BITS).view(np.float32) * MANTISSA
     red, green, blue = np.minimum(np.rint(values * scale), MANTISSA - 1)
     return np.column_stack([(exponent + EXPONENTS) * np.float32(MANTISSA) + red, green * MANTISSA + blue])
 
